@@ -85,9 +85,7 @@ def unpack(data: bytes, folder: Path) -> Path:
                 target = folder / name
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with archive.open(member) as stream:
-                    content = stream.read(member.file_size + 1)
-                if len(content) > member.file_size:
-                    raise DamagedRecording(f"{MODEL}: {name} is longer than the archive says")
+                    content = stream.read(member.file_size)  # no more is decompressed, whatever is in it
                 write_file(target, content, durable=False)
     except DamagedRecording:
         raise

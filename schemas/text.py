@@ -59,10 +59,16 @@ def cut(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def few(names: Sequence[str], most: int) -> str:
-    """The first of some names, and how many more there are: "a, b and 3 more"."""
-    more = len(names) - most
-    return ", ".join(names[:most]) + (f" and {more:,} more" if more > 0 else "")
+def first(parts: Sequence[str], most: int, what: str = "") -> list[str]:
+    """The first of some parts, and one that says how many more there are: "a", "b", "and 3 more"."""
+    more = len(parts) - most
+    return [*parts[:most], *([f"and {more:,} more{what}"] if more > 0 else [])]
+
+
+def few(names: Sequence[str], most: int, what: str = "", *, by: str = ", ") -> str:
+    """The same in a line: "a, b and 3 more"."""
+    shown = first(names, most, what)
+    return by.join(shown) if len(names) <= most else f"{by.join(shown[:-1])} {shown[-1]}"
 
 
 def show(text: Line | Block, *, error: bool = False) -> None:

@@ -103,7 +103,12 @@ def distribution(folder: Path, name: str, points: str, source: str = "") -> dict
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(points)
-    return {**os.environ, "PYTHONPATH": str(folder)}
+    return {**os.environ, "PYTHONPATH": searched(folder)}
+
+
+def searched(*folders: Path) -> str:
+    """A PYTHONPATH with these folders first: what tests run with it is this checkout, not one that is installed."""
+    return os.pathsep.join([*map(str, folders), *filter(None, [os.environ.get("PYTHONPATH")])])
 
 
 def wait_for(condition: Callable[[], bool]) -> None:

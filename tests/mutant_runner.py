@@ -50,6 +50,7 @@ TEST_S = 30
 SILENT_S = 600
 """Seconds by the clock that a test may take: a mutant that waits for what never comes uses no processor."""
 
+_SHORT_S = 0.3
 _LONG_S = 1.0
 _UNKNOWN_S = 0.2  # what a test takes that has not run yet
 
@@ -158,9 +159,9 @@ class _Runner:
     def _ordered(self, files: Sequence[str]) -> list[pytest.Item]:
         order = {file: turn for turn, file in enumerate(files)}
 
-        def turn(item: pytest.Item) -> tuple[bool, int, float]:
+        def turn(item: pytest.Item) -> tuple[bool, bool, int, float]:
             took = self._took.get(item.nodeid, _UNKNOWN_S)
-            return (took > _LONG_S, order[_file(item)], took)
+            return (took > _LONG_S, took > _SHORT_S, order[_file(item)], took)
 
         return sorted((item for item in self._session.items if _file(item) in order), key=turn)
 

@@ -3,7 +3,7 @@
 A mutant is the code with one operator, number, keyword or decorator replaced, by cosmic-ray's operators. cosmic-ray's
 own runner changes files of the checkout in place, knows one command for all modules and draws no sample; so only its
 operators are used. Each mutant is written into a copy of the checkout in a temporary folder. There run the quick tests
-of the files that import the module by the fewest steps, the nearest file and the shortest test first, until one fails
+of the files that import the module by the fewest steps, tests that take long last, until one fails
 (tests.mutant_runner). A test that fails runs again without the mutant, and what is limited is the time of a processor:
 a busy machine neither kills a mutant nor saves it. What was killed is kept in `.cache/`, and stays killed while neither
 the mutant nor the file of the test that killed it has changed.
@@ -292,16 +292,18 @@ def _copy(tree: Path) -> Path:
 def near(path: str) -> list[str]:
     """Files of tests that concern a file of the code, nearest first.
 
-    Near are those that import the module by few steps; among them first those named like the module or its folder. A
-    test that calls a command imports the command's module.
+    Near are those that import the module by few steps; among them first those named like the module or its folder, and
+    of as many steps those of the folder that mirrors the package. A test that calls a command imports the command's
+    module.
     """
     module = _module_of(path)
     names = {Path(path).stem, Path(path).parent.name}
     distances = {test: _distance(test, module) for test in _tests()}
 
-    def turn(test: str) -> tuple[bool, int, int]:
+    def turn(test: str) -> tuple[bool, int, bool, int]:
         named = any(name in Path(test).stem for name in names)
-        return (not named or distances[test] > 3, distances[test], (ROOT / test).stat().st_size)
+        elsewhere = Path(test).parts[1] != Path(path).parts[0]
+        return (not named or distances[test] > 3, distances[test], elsewhere, (ROOT / test).stat().st_size)
 
     return sorted((test for test in distances if distances[test] <= 4), key=turn)[:MOST_FILES]
 

@@ -159,6 +159,7 @@ def test_known_distances(tmp_path: Path) -> None:
         assert found["regime_published"]["value"] == types[shown and by_env, shown and by_run]
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is(tmp_path: Path) -> None:
     """Find no difference in 100 of 100 runs of regime identical, contacts and all: 2 processes of 50 runs each."""
     task = {"scene": "inclined-collision", "n_env": 4, "steps": 40, "warmup": 5, "timed_steps": 35, "options": {}}

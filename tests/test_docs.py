@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from gpusimbench.evaluator.runs.validation import verify
-from tests.conftest import command, distribution, run_python
+from tests.conftest import command, distribution, run_python, searched
 from tests.scripts import script
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -95,7 +95,7 @@ def test_the_tutorial(tmp_path: Path) -> None:
     site = tmp_path / "site"
     folder = tmp_path / "springs"
     folder.mkdir()
-    path = os.pathsep.join(filter(None, [str(site), str(ROOT), os.environ.get("PYTHONPATH")]))
+    path = searched(site, ROOT)
     installing = {"TARGET": str(site), "NO_INDEX": "1", "NO_DEPS": "1", "NO_BUILD_ISOLATION": "0",
                   "DISABLE_PIP_VERSION_CHECK": "1"}  # fmt: skip
     environment = {"PYTHONPATH": path, **{f"PIP_{name}": value for name, value in installing.items()}}
@@ -142,7 +142,7 @@ def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
     found = re.search(r'\[project.entry-points."gsb.simulators"\]\n(.*)\n', project)
     assert found is not None
     distribution(tmp_path, "ballistic", f"[gsb.simulators]\n{found[1].replace(chr(34), '')}\n")
-    environment = {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    environment = {"PYTHONPATH": searched(tmp_path, ROOT)}
     for line in commands(guide):
         shell(line, tmp_path, environment)
     assert "ballistic" in shell("gsb-record --list", tmp_path, environment).stdout

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from gpusimbench.evaluator.runs.validation import verify
+from tests.conftest import searched
 from tests.test_docs import commands, shell
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -32,7 +33,7 @@ def installed(tmp_path: Path) -> str:
         for group, points in project["entry-points"].items()
     )
     (info / "entry_points.txt").write_text(groups, encoding="utf-8")
-    return os.pathsep.join([str(tmp_path / "site"), str(PACKAGE / "src"), str(EXAMPLES.parent)])
+    return searched(tmp_path / "site", PACKAGE / "src", EXAMPLES.parent)
 
 
 @pytest.mark.slow
@@ -65,7 +66,7 @@ def test_a_program_that_logs(tmp_path: Path) -> None:
 
     shutil.copy(EXAMPLES / "log_your_own" / "log_states.py", tmp_path)
     for line in commands(EXAMPLES / "log_your_own" / "README.md"):
-        done = shell(line, tmp_path, {"PYTHONPATH": str(EXAMPLES.parent)})
+        done = shell(line, tmp_path, {"PYTHONPATH": searched(EXAMPLES.parent)})
     assert "three-balls" in done.stdout
     assert "throughput" in done.stdout
     recording = open_recording(tmp_path / "run-1.mcap")

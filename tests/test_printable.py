@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.render.console import Screen, plain_table
 from gpusimbench.schemas import text as texts
-from gpusimbench.schemas.text import block, line, printable
+from gpusimbench.schemas.text import block, cut, few, first, line, printable
 
 _ROOT = Path(__file__).parents[1]
 _HIDDEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
@@ -44,6 +44,30 @@ def test_letters_stay() -> None:
     beside_invisible = "\u034e\u0350\u115e\u1161\u17b3\u17b6\u180a\u1810\u27ff\u2801\u3163\u3165\ufe10\uff9f\uffa1"
     for shown in (text, beside_invisible):
         assert line(shown) == line(line(shown)) == printable(shown) == shown
+
+
+@pytest.mark.parametrize(
+    ("count", "parts", "shown"),
+    [
+        (0, [], ""),
+        (1, ["a"], "a"),
+        (2, ["a", "b"], "a; b"),
+        (3, ["a", "b", "and 1 more apples"], "a; b and 1 more apples"),
+        (4, ["a", "b", "and 2 more apples"], "a; b and 2 more apples"),
+        (1002, ["a", "b", "and 1,000 more apples"], "a; b and 1,000 more apples"),
+    ],
+)
+def test_the_first_of_many(count: int, parts: list[str], shown: str) -> None:
+    """Show two of them, and count the others, of which there may be none."""
+    names = ["a", "b", *"c" * (count - 2)][:count]
+    assert first(names, 2, " apples") == parts
+    assert few(names, 2, " apples", by="; ") == shown
+    assert few(names, 2) == shown.replace(";", ",").removesuffix(" apples")
+
+
+def test_a_text_that_is_cut() -> None:
+    """Leave a text of the largest length, and end a longer one by dots that count."""
+    assert [cut("abcdefg", most) for most in (8, 7, 6, 4)] == ["abcdefg", "abcdefg", "abc...", "a..."]
 
 
 @given(_TEXTS)

@@ -119,7 +119,7 @@ def test_plugins_that_import_old_names(package: str, group: str, wanted: str, tm
     done = subprocess.run(
         [sys.executable, "-P", "-m", "gpusimbench.recorder.cli", *asked, "--out", str(tmp_path / "out")],
         cwd=tmp_path, capture_output=True, text=True, timeout=60,
-        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT / "src")])},
     )  # fmt: skip
     assert done.returncode == 2
     root = package.partition(".")[0]

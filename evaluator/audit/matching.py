@@ -10,6 +10,7 @@ import numpy as np
 from gpusimbench.evaluator.audit.verdict import Match
 from gpusimbench.evaluator.diff.result import Basis, Difference, Setting
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.text import first
 
 _PHASES = ("capture", "timed")
 _MOST_NAMED = 3
@@ -72,8 +73,7 @@ def _no_ulps(found: Difference) -> Iterator[str]:
 
 
 def _named(parts: Sequence[str]) -> str:
-    more = len(parts) - _MOST_NAMED
-    return "; ".join(parts[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+    return "; ".join(first(parts, _MOST_NAMED))
 
 
 def trajectories(recordings: Sequence[Recording]) -> list[list[bytes]]:

@@ -24,7 +24,7 @@ from gpusimbench.evaluator.render.document import (
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.runs.groups import shown_status
 from gpusimbench.schemas.provenance import engine_name
-from gpusimbench.schemas.text import cut, few
+from gpusimbench.schemas.text import cut, few, first
 
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
 
@@ -103,9 +103,7 @@ def _facts(audit: Audit, checked: Check, every: bool) -> Pairs:
         pairs.append(("reason", audit.why_not))
     pairs += [*_recording(audit), ("content hash", audit.originals[0].content_hash), ("check", _check(audit, checked))]
     replays = [f"{replay.status}: {replay.reason}" for replay in audit.failed]
-    replays += [f"complete: {recording.path}" for recording in audit.recordings[:_FILES]]
-    if len(audit.recordings) > _FILES:
-        replays.append(f"and {len(audit.recordings) - _FILES} more")
+    replays += first([f"complete: {recording.path}" for recording in audit.recordings], _FILES)
     if replays:
         pairs.append(("replays", Cell(replays[0], notes=tuple(replays[1:]))))
     if audit.recordings:

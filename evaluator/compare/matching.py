@@ -12,7 +12,7 @@ from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, first
 
 ACROSS = ("simulator", "determinism", "warmup", "timed_steps")
 """What --across takes besides names of options."""
@@ -152,8 +152,7 @@ def _differences(base: Group[Run], head: Group[Run]) -> tuple[str, ...]:
     one, other = _commits(base), _commits(head)
     if one != other:
         found.append(_arrow("commit of the recorder", one, other))
-    more = len(found) - _SHOWN
-    return (*found[:_SHOWN], *([f"and {more} more"] if more > 0 else []))
+    return tuple(first(found, _SHOWN))
 
 
 def _entries(one: dict[str, Any], other: dict[str, Any]) -> list[str]:

@@ -65,11 +65,6 @@ class CoTenants:
         """What is known."""
         return Presence.SOME if self.signs else Presence.NONE if self.looked else Presence.UNKNOWN
 
-    @property
-    def most_bytes(self) -> int | None:
-        """Most bytes that others are known to have held."""
-        return max((s.bytes for s in self.signs if s.bytes is not None), default=None)
-
 
 @dataclass(frozen=True)
 class Peers:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gpusimbench.evaluator.player.clip import Clip
+from gpusimbench.schemas.text import few
 
 _MOST_SPLITS = 8
 
@@ -45,8 +46,7 @@ def _divergence(clip: Clip) -> str:
         for step, count in zip(found.steps.tolist(), found.so_far.tolist(), strict=True)
         if step in set(found.splits.tolist())
     ]
-    more = f" and {len(told) - _MOST_SPLITS} more splits" if len(told) > _MOST_SPLITS else ""
     return (
         f"The {clip.n_member} {clip.whose} first differ at step {found.first_divergence} "
-        f"({found.first_divergence * clip.dt:g} s); distinct: {', '.join(told[:_MOST_SPLITS])}{more}."
+        f"({found.first_divergence * clip.dt:g} s); distinct: {few(told, _MOST_SPLITS, ' splits')}."
     )

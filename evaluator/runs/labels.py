@@ -10,7 +10,7 @@ from typing import Any
 
 from gpusimbench.evaluator.runs.groups import Described, GroupKey, precisions
 from gpusimbench.schemas.provenance import engine_name
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, first
 from gpusimbench.schemas.treatment import initial_words
 
 Given = Mapping[str, frozenset[str]]
@@ -125,7 +125,7 @@ def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], besid
     if any(precisions(rival) not in ([], precisions(key)) for rival in alike):
         parts += precisions(key)
         alike = [rival for rival in alike if precisions(rival) in ([], precisions(key))]
-    parts += _limited(_changed(_settings(key), [_settings(rival) for rival in alike]))
+    parts += first(_changed(_settings(key), [_settings(rival) for rival in alike]), _SHOWN_SETTINGS)
     alike = [rival for rival in alike if _settings(rival) == _settings(key)]
     for settings in () if chosen_alone else (_protocol, _conditions):
         parts += _fewest(settings(key), [settings(rival) for rival in alike])
@@ -179,11 +179,6 @@ def _shown(name: str, key: GroupKey) -> str:
     if name == "initial":
         return f"initial={initial_words(value)}"
     return f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
-
-
-def _limited(changed: list[str]) -> list[str]:
-    more = len(changed) - _SHOWN_SETTINGS
-    return [*changed[:_SHOWN_SETTINGS], *([f"and {more} more"] if more > 0 else [])]
 
 
 def _changed(own: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list[str]:

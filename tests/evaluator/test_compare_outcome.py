@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.compare.distances import Distances
+from gpusimbench import open_recording
+from gpusimbench.evaluator.compare.distances import Distances, distances, has_positions, joint_distances
 from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
 from gpusimbench.evaluator.compare.outcome import compare_outcomes, compare_spread
+from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.metrics import METRICS
+from gpusimbench.evaluator.runs.reader import read_run
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.schemas.fields import body_field, joint_field
 
 W1 = METRICS["w1_run_to_run"]
 SETTINGS = Settings()
@@ -42,6 +49,61 @@ def test_runs_that_are_one_on_both_sides() -> None:
     outcome = compare_outcomes(found, SETTINGS, applies=True)
     assert isinstance(outcome, Finding)
     assert outcome.change is Change.SAME
+
+
+@pytest.mark.parametrize(
+    ("base", "head", "alike", "same"),
+    [
+        ((0, 0), (1, 2), (True, False), False),
+        ((1, 2), (0, 0), (False, True), False),
+        ((0, 0, 0), (0, 0), (True, True), True),
+        ((0, 1), (0, 2), (False, False), True),
+        ((0,), (1,), (True, True), False),
+    ],
+)
+def test_which_runs_are_alike(
+    base: tuple[int, ...], head: tuple[int, ...], alike: tuple[bool, bool], same: bool, tmp_path: Path
+) -> None:
+    """Say of either side whether its runs are equal, and whether both begin with the same run: of positions, of joints,
+    in the unit that is asked for."""
+    sides = []
+    for name, kinds in (("base", base), ("head", head)):
+        runs = []
+        for number, kind in enumerate(kinds):
+            path = tmp_path / f"{name}{number}.mcap"
+            with RecordingWriter(
+                path, simulator="mine", version="1", scene="cart", n_env=2, dt=0.1, steps=1,
+                fields=(
+                    body_field("bodies", "position", "float64", ("body",)),
+                    joint_field("joints", "qpos", "float64", ("hinge",)),
+                ),
+            ) as log:  # fmt: skip
+                states = np.arange(4.0).reshape(2, 2, 1, 1) + 0.01 * kind
+                log.append(np.repeat(states, 3, axis=-1), states)
+            runs.append(read_run(open_recording(path), 0.1))
+        sides.append(runs)
+    for found, apart in (
+        (distances(*sides, Work()), 100 * 0.01 * np.sqrt(2)),
+        (joint_distances(*sides, "rad"), 0.01),
+    ):
+        assert isinstance(found, Distances)
+        assert (found.n, found.alike, found.same, found.exact) == ((len(base), len(head)), alike, same, True)
+        kinds = np.array([*base, *head])
+        assert found.matrix == pytest.approx(abs(kinds[:, None] - kinds) * apart, abs=1e-9)
+    assert joint_distances(*sides, "cm") is None
+    assert [has_positions(*given) for given in (sides, (sides[0], []), ([], sides[1]), ([], []))] == [True] * 4
+
+
+def test_runs_without_positions_have_nothing_to_compare(tmp_path: Path) -> None:
+    """Decide nothing where both sides have runs and none recorded positions; a side without runs stays open."""
+    path = tmp_path / "a.mcap"
+    fields = (joint_field("joints", "qpos", "float64", ("hinge",)),)
+    with RecordingWriter(
+        path, simulator="mine", version="1", scene="cart", n_env=2, dt=0.1, steps=1, fields=fields
+    ) as log:
+        log.append(np.zeros((2, 2, 1, 1)))
+    run = read_run(open_recording(path), 0.1)
+    assert [has_positions(*given) for given in (([run], [run]), ([run], []), ([], [run]))] == [False, True, True]
 
 
 @pytest.mark.parametrize("n", [(1, 3), (3, 1)])

@@ -21,6 +21,7 @@ from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
 from gpusimbench.evaluator.compare.words import verdict
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
+from tests.conftest import searched
 from tests.evaluator.test_compare import NOISE, ROOT, compared, finding, stamped, timed, write_sides
 from tests.synthetic import grid, write_recording
 from tests.test_docs import command
@@ -52,7 +53,7 @@ def run(line: str, folder: Path, path: str, **environment: str) -> subprocess.Co
     """Run lines as a step of a workflow does: in bash, which ends with the first that fails."""
     return subprocess.run(
         ["bash", "-e", "-c", line], cwd=folder, capture_output=True, text=True, timeout=300,
-        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), **environment},
+        env={**os.environ, "PATH": path, "PYTHONPATH": searched(ROOT), **environment},
     )  # fmt: skip
 
 

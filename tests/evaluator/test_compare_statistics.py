@@ -172,7 +172,16 @@ def test_distances_within_the_sides_by_hand(spread: float) -> None:
 
 
 def test_what_cannot_be_tested_is_refused() -> None:
-    """Raise for one-sided blocks, for values that are no numbers, and for a side of one run."""
+    """Raise for one-sided blocks, for values that are no numbers or not one a run, and for a side of one run."""
+    for values, size in (([1.0], 2), ([1.0, 2.0, 3.0], 2), ([[1.0, 2.0]], 2), ([1.0, math.inf], 2)):
+        with pytest.raises(ValueError, match="values must be finite, one for each run"):
+            compare_means(values, [False, True][:size], [0, 0])
+    for head, blocks in (([False, True], [0]), ([True], [0, 0]), ([[False, True]], [[0, 0]]), ([], [])):
+        with pytest.raises(ValueError, match="head and blocks must have one entry for each run"):
+            dealings(head, blocks)
+    for matrix in (np.zeros((3, 4)), np.zeros((4, 3)), np.zeros((4, 4, 1)), np.full((4, 4), math.nan)):
+        with pytest.raises(ValueError):
+            compare_distances(matrix, [False, False, True, True])
     with pytest.raises(ValueError, match="one side alone"):
         compare_means([1.0, 2.0], [False, False], [0, 0])
     with pytest.raises(ValueError, match="finite"):

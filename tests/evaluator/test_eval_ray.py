@@ -20,7 +20,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.runs.known_files import read_all
 from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.schemas.errors import GsbError, UsageError
-from tests.conftest import Command
+from tests.conftest import Command, searched
 
 pytestmark = pytest.mark.alone
 
@@ -36,7 +36,7 @@ def two_nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     here = Path(__file__).resolve()
-    monkeypatch.setenv("PYTHONPATH", f"{here.parent}{os.pathsep}{here.parents[2]}")  # for the functions of this module
+    monkeypatch.setenv("PYTHONPATH", searched(here.parent, here.parents[2]))  # for the functions of this module
     nodes = Nodes(initialize_head=True, head_node_args=_NODE)
     nodes.worker = nodes.add_node(**_NODE)
     yield nodes

@@ -99,6 +99,7 @@ def test_nothing_changes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert (code, changes(document)) == (0, [])
     assert 1.0 < curve(document, "fps")["smallest_visible"] < 1.1
     assert document["verdict"] == "NO CHANGE found over 8 points"
+    assert document["notes"] == []
 
 
 @pytest.mark.parametrize(
@@ -133,6 +134,7 @@ def test_a_gate_after_an_accepted_change(tmp_path: Path, capsys: pytest.CaptureF
     code, document = history(tmp_path, "--gate", "throughput", capsys=capsys)
     assert (code, changes(document)[-1][1:]) == (4, ("fps", "regression"))
     assert {label for label, _, _ in changes(document)} == {"v7", f"v{last + 1}"}
+    assert document["undecided"] == []
 
 
 def test_a_gate_that_few_points_cannot_decide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,6 +169,19 @@ def test_memory_and_bits_are_facts(tmp_path: Path, capsys: pytest.CaptureFixture
     )
     (change,) = curve(document, "host_memory_peak_increment")["changes"]
     assert (change["before"], change["after"], change["p_value"], change["ci95"]) == (100.0, 200.0, None, None)
+
+
+def test_a_point_without_a_value_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Keep a point whose runs measured no memory among those that did, with the metric's own reason."""
+    for index in range(3):
+        write_point(tmp_path, index, host_bytes=None if index == 1 else (10**8, 2 * 10**8))
+    _, document = history(tmp_path, capsys=capsys)
+    told = [(p["value"], p["why_not"]) for p in curve(document, "host_memory_peak_increment")["points"]]
+    assert told == [
+        (100.0, None),
+        (None, "the timed phase was left out, or no memory was sampled in it"),
+        (100.0, None),
+    ]
 
 
 def test_runs_that_are_no_longer_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

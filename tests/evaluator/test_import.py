@@ -18,7 +18,6 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
-from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.imported import Imported, Trials
 from gpusimbench.schemas.model_files import pack
 from tests.conftest import call
@@ -384,26 +383,6 @@ def test_newton(reference: Held, tmp_path: Path) -> None:
     }
     placed, responded = _moved(reference, xpbd)
     assert not placed.wrong and responded.wrong
-
-
-def test_a_damaged_attachment(reference: Held) -> None:
-    """Refuse arrays that do not fit their names, names that are there twice, and shapes that do not fit each other."""
-    held = reference.imported
-    cut = {**held.values, "bodies/mass": held.values["bodies/mass"][:-1]}
-    with pytest.raises(DamagedRecording, match="bodies/mass has the shape"):
-        Imported.decoded(Imported(held.names, cut).encoded())
-    text = {**held.values, "bodies/mass": held.values["bodies/parent"]}
-    with pytest.raises(DamagedRecording, match="bodies/mass is of type"):
-        Imported.decoded(Imported(held.names, text).encoded())
-    twice = {**held.names, "actuators": ("push", "push", "spin")}
-    with pytest.raises(DamagedRecording, match="two actuators have one name"):
-        Imported.decoded(Imported(twice, held.values).encoded())
-    trials = reference.trials
-    short = Trials(**{**vars(trials), "position": trials.position[:-1]})
-    with pytest.raises(DamagedRecording, match="has the shape"):
-        Trials.decoded(short.encoded())
-    with pytest.raises(DamagedRecording, match="no archive"):
-        Trials.decoded(b"nothing")
 
 
 @pytest.fixture(scope="module")

@@ -267,6 +267,28 @@ def test_friction_never_leaves_its_cone(seed: int, mu: float, cut: int) -> None:
     assert ignored.excess[0] <= 1e-9
 
 
+@given(seed=seeds, cut=st.integers(1, 7), mu=st.floats(0.05, 1.0))
+def test_a_cone_of_friction_row_by_row(seed: int, cut: int, mu: float) -> None:
+    """Find the largest excess and pull between two judged rows, one by one; of an environment without any, nothing."""
+    draw = np.random.default_rng(seed)
+    momentum, judged = draw.normal(scale=0.3, size=(8, 4, 3)), draw.uniform(size=(8, 4)) < 0.6
+    judged[:, 3] = False
+    cone = FrictionCone(mu, weight=50.0, dt=0.01)
+    cone.feed(momentum[:cut], judged[:cut])
+    cone.feed(momentum[cut:], judged[cut:])
+    for env in range(4):
+        pairs = [row for row in range(1, 8) if judged[row, env] and judged[row - 1, env]]
+        excess, pull = [-np.inf], [-np.inf]
+        for row in pairs:
+            x, y, z = momentum[row, env] - momentum[row - 1, env]
+            normal = z + 50.0 * 0.01
+            excess.append(np.hypot(x, y) - mu * max(normal, 0.0))
+            pull.append(-normal)
+        assert cone.rows[env] == len(pairs)
+        assert cone.excess[env] == pytest.approx(max(excess))
+        assert cone.pull[env] == pytest.approx(max(pull))
+
+
 @given(seed=seeds, share=st.floats(0.0, 1.0), cut=st.integers(1, 9))
 def test_any_mean_of_velocities_accounts_for_a_displacement(seed: int, share: float, cut: int) -> None:
     """Find nothing beyond zero where bodies move by a mean of two rows' velocities, and a jump where there is one."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from gpusimbench.evaluator.probe.pairs import Pairs, held
 from gpusimbench.evaluator.probe.questions import answers
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.location import place
-from tests.conftest import call
+from tests.conftest import call, distribution
 
 AT, STEPS, N_ENV = 10, 30, 4
 USUAL, SHIFTED = ("--initial", "random:0.1"), ("--initial", "random:0.1,shift:1")
@@ -45,12 +44,7 @@ class Planted(MujocoC):
 def plugin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """An environment in which a third party's distribution offers the simulator "planted"."""
     folder = tmp_path_factory.mktemp("plugin")
-    (folder / "misdirected.py").write_text(_PLUGIN)
-    info = folder / "misdirected-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: misdirected\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\nplanted = misdirected:Planted\n")
-    return {**os.environ, "PYTHONPATH": str(folder)}
+    return distribution(folder, "misdirected", "[gsb.simulators]\nplanted = misdirected:Planted\n", _PLUGIN)
 
 
 def _recorded(folder: Path, environment: dict[str, str], *arguments: str, planted: str = "") -> Recording:

@@ -23,7 +23,7 @@ from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.transport.pair import MATRIX_LIMIT
-from tests.conftest import run_python
+from tests.conftest import run_python, searched
 from tests.synthetic import grid, write_recording
 from tests.test_docs import blocks, commands, shell
 
@@ -127,7 +127,7 @@ def test_the_script_runs() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.scale", "--runs", "2", "--n-env", "3", "--steps", "20", "--points", "200",
          "--recordings", "1000", "--shard", "10"], cwd=ROOT, capture_output=True, text=True, timeout=300,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": searched(ROOT)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     measured, extrapolated = _parsed(done.stdout)

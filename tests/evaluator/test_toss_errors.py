@@ -157,6 +157,8 @@ def test_floor() -> None:
     assert exact.position == pytest.approx(0.0, abs=1e-12)
     assert exact.rotation == pytest.approx(0.0, abs=1e-7)
     assert (exact.tosses, exact.rows) == (3, 19.0)
+    short = tracking_floor(motion, np.array([10, 20, 1]), CUBE, DT, motion.linear_velocity[0])
+    assert (short.tosses, short.rows) == (2, (9 + 19) / 2)  # later rows repeat the last, and the first is given
     motion.position[1:] += [0.0, 0.003, 0.004]
     assert tracking_floor(motion, counts, CUBE, DT, motion.linear_velocity[0]).position == pytest.approx(0.005)
     low = Motion(motion.rows, motion.position - [0, 0, 20.0], *list(vars(motion).values())[2:])
@@ -368,8 +370,9 @@ def test_interval(values: list[float]) -> None:
     assert found is not None
     assert min(values) - 1e-9 <= found[0] <= found[1] <= max(values) + 1e-9
     assert mean_interval(values[:7]) is None
-    with pytest.raises(ValueError, match="shape"):
-        mean_interval([values])
+    for wrong in ([values], values[0]):
+        with pytest.raises(ValueError, match="shape"):
+            mean_interval(wrong)
 
 
 @pytest.mark.parametrize(

@@ -314,6 +314,25 @@ def test_planes_follow_prices_that_rise_evenly(slope: tuple[float, float], found
         assert below.min() == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.parametrize("size", [1, 2, 5, 17, 40])
+@pytest.mark.parametrize("scale", [0.05, 1.0])
+def test_planes_are_least_squares(size: int, scale: float) -> None:
+    """Give each node the slope that fits its prices best, with a ridge of a thousandth of the points' squares."""
+    rng = np.random.default_rng(size)
+    tree = build(rng.normal(size=(size, 2)) * [3.0, 0.5] + [5.0, -2.0])
+    prices = 7.0 + scale * rng.normal(size=size)
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    for begin, end, node in zip(tree.begin, tree.end, tree.nodes, strict=True):
+        points, values = tree.points[begin:end], prices[begin:end]
+        centred = points - points.mean(axis=0)
+        # ridge regression, as least squares with two rows more
+        ridge = np.sqrt(1e-3 * (centred**2).sum()) * np.eye(2)
+        slope = np.linalg.lstsq(np.vstack([centred, ridge]), np.append(values - values.mean(), [0.0, 0.0]), rcond=None)[
+            0
+        ]
+        assert node[4:6] == pytest.approx(slope / max(1.0, float(np.linalg.norm(slope))), abs=1e-9)
+
+
 def test_planes_rise_with_their_prices() -> None:
     """Touch the lowest price of a leaf again after every rise, and stay below all prices at every node."""
     rng = np.random.default_rng(9)

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import run_python, wait_for
+from tests.conftest import run_python, searched, wait_for
 from tests.evaluator.test_player_clip import diverging
 from tests.synthetic import grid, write_recording
 
@@ -184,7 +184,7 @@ def test_the_guide_shows_what_happens(tmp_path: Path) -> None:
             done = subprocess.run(
                 [sys.executable, "-m", "gpusimbench.evaluator.cli.view", *arguments],
                 cwd=tmp_path, capture_output=True, text=True, timeout=300,
-                env={**os.environ, "PYTHONPATH": str(ROOT)},
+                env={**os.environ, "PYTHONPATH": searched(ROOT)},
             )  # fmt: skip
             assert done.returncode == 0, f"{line}\n{done.stderr}"
             assert not shown or done.stderr + done.stdout == shown, line

@@ -9,10 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from gpusimbench.evaluator.check.integrity import scan
-from gpusimbench.evaluator.read import messages
-from gpusimbench.schemas import checks, configuration, provenance
-from gpusimbench.schemas.mcap import contents, declarations, decompression, reader
 from tests.hostile.mutate import MUTATORS, Promise
 from tests.hostile.soak import MEMORY_BYTES
 from tests.test_docs import ROOT, commands, shell
@@ -75,18 +71,9 @@ def test_the_commands_of_the_page() -> None:
         assert not json.loads(shell(line, ROOT).stdout)["broken"]
 
 
-def test_the_page_tells_the_bounds() -> None:
-    """Let docs/strangers.md and the code have the same numbers."""
+def test_the_page_tells_how_much_is_tried() -> None:
+    """Let docs/strangers.md and the tests have the same numbers."""
     page = (ROOT / "docs" / "strangers.md").read_text(encoding="utf-8")
     assert f"in {len(MUTATORS)} ways" in page
     assert f"CI tries {COUNT * len(MUTATORS)} files" in page
     assert MEMORY_BYTES == 2 << 30
-    assert decompression.MAX_BYTES == reader.MAX_ATTACHMENT_BYTES == 1 << 30
-    assert (checks.MAX_JSON_BYTES, checks.MAX_JSON_VALUES, checks.MAX_JSON_TEXT) == (32 << 20, 1 << 20, 1 << 20)
-    assert checks.MAX_DEPTH == 64
-    assert (declarations.MAX_DECLARED_BYTES, declarations.MAX_DECLARED_TEXTS) == (64 << 20, 1 << 20)
-    assert (declarations.MAX_CHANNEL_BYTES, contents.MAX_ATTACHMENTS) == (1 << 20, 4096)
-    assert contents.most_messages(8_000) == (1 << 20) + 1000
-    assert (messages.MAX_MESSAGES, messages.MAX_NOTES, messages.MAX_END_BYTES) == (1 << 20, 1 << 16, 1 << 20)
-    assert (scan.MAX_METADATA, scan.MAX_SUMMARY_RECORDS) == (1 << 16, 1 << 20)
-    assert (provenance.MAX_FIELDS, configuration.MAX_ENVS, checks.MAX_COUNT) == (256, 1 << 24, 1 << 40)

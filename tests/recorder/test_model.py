@@ -120,6 +120,8 @@ def _archive(**files: str) -> bytes:
         (_archive(**{"/tmp/robot.xml": "<mujoco/>"}), "outside it"),
         (_archive(**{"a/../../robot.xml": "<mujoco/>"}), "outside it"),
         (_archive(**{"C:robot.xml": "<mujoco/>"}), "outside it"),
+        (_archive(**{"a\\robot.xml": "<mujoco/>"}), "outside it"),
+        (_archive(**{"robot\x1b.xml": "<mujoco/>"}), "outside it"),
         (_archive(**{"robot.xml": "<mujoco/>", "robot.xml/a": ""}), "no archive of files"),
         (_archive(**{"robot.xml": '<mujoco><include file="../../etc/hostname"/></mujoco>'}), "no such file|outside"),
         (

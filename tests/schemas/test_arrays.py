@@ -74,6 +74,19 @@ def test_a_shape_that_is_a_lie() -> None:
         arrays.decode("x", _archive("a.npy", head + bytes(80)))
 
 
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_a_size_that_is_a_lie(method: int) -> None:
+    """Read no more of an array than the archive's directory says, whatever lies there."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", method) as archive:
+        archive.writestr("a.npy", _npy("{'descr': '|u1', 'fortran_order': False, 'shape': (5000,)}") + bytes(5000))
+    data = bytearray(stream.getvalue())
+    directory = data.rindex(b"PK\x01\x02")
+    data[directory + 24 : directory + 28] = (4000).to_bytes(4, "little")
+    with pytest.raises(DamagedRecording, match="no archive of arrays"):
+        arrays.decode("x", bytes(data))
+
+
 def test_a_pickle_is_never_read() -> None:
     """Execute nothing."""
     stream = io.BytesIO()

@@ -62,23 +62,33 @@ def test_declarations_cover_each_other() -> None:
         (schema(1, "a.B"), schema(1, "a.C")),
         (channel(1, 0, "/one"), channel(1, 0, "/two")),
         (channel(1, 0, "/one"), channel(2, 0, "/one", texts=1)),
+        (channel(1, 1, "/one"), schema(1, "a.B"), channel(1, 1, "/one")),
     ],
 )
 def test_declarations_that_contradict_each_other(records: tuple[Record, ...]) -> None:
-    """Refuse a number of two names, a channel of two topics, and a topic that is declared in two ways."""
+    """Refuse a number of two names, a channel of two topics, a topic of two declarations, or whose type came late."""
     with pytest.raises(DamagedRecording, match="two names|two topics|declared twice"):
         declared(*records)
 
 
 def test_texts_of_all_channels_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take as many texts as are read, a repeated channel once, and refuse one more."""
-    assert declarations.MAX_DECLARED_TEXTS == 1_048_576
-    assert declarations.MAX_CHANNEL_BYTES == 1_048_576
     monkeypatch.setattr(declarations, "MAX_DECLARED_TEXTS", 5)
     three, two = channel(1, 0, "/one", texts=3), channel(2, 0, "/two", texts=2)
     found = declared(schema(1, "a.B"), three, three, two)
     with pytest.raises(TooMuch, match="more than the 67108864 bytes or 5 texts that are read"):
         found.take(channel(3, 0, "/three", texts=1))
+
+
+def test_bytes_of_all_declarations_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take as many bytes of schemas and channels as are read, a repeated record once, and refuse one more."""
+    records = (schema(1, "a.B"), channel(1, 1, "/one"), schema(1, "a.B"))
+    size = sum(len(record.content) for record in records[:2])
+    monkeypatch.setattr(declarations, "MAX_DECLARED_BYTES", size)
+    declared(*records)
+    monkeypatch.setattr(declarations, "MAX_DECLARED_BYTES", size - 1)
+    with pytest.raises(TooMuch, match=f"more than the {size - 1} bytes"):
+        declared(*records)
 
 
 def test_bytes_of_a_channel_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import struct
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ from gpusimbench.schemas import FORMAT
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mcap.crc import combine
 from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.mcap.records import MAGIC, Op
 from gpusimbench.schemas.mcap.writer import COMPRESSIONS, McapWriter, Part
 
 Sent = list[tuple[str, int, bytes]]
@@ -168,6 +170,27 @@ def test_messages_out_of_their_order(tmp_path: Path) -> None:
     assert [found.chunk_bytes(message) for message in found.messages("/one")] == [31 + 5, 31 + (64 << 20) - 100]
     with pytest.raises(DamagedRecording, match="message 0 of /one is missing, or far behind"):
         list(_out_of_order(tmp_path / "b.mcap", 64 << 20).in_sequence("/one"))
+
+
+def test_offsets_of_the_summary(tmp_path: Path) -> None:
+    """Say of each type of record where its group is in the summary: one after another, and nothing else there."""
+    path = tmp_path / "a.mcap"
+    write(path, [10, 20, 30], "zstd")
+    data = path.read_bytes()
+    begin, offsets, _ = struct.unpack_from("<QQI", data, len(data) - len(MAGIC) - 20)
+    groups, at = [], offsets
+    while data[at] == Op.SUMMARY_OFFSET:
+        groups.append(struct.unpack_from("<BQQ", data, at + 9))
+        at += 9 + 17
+    assert at == len(data) - len(MAGIC) - 29  # the footer
+    for opcode, start, length in groups:
+        assert start == begin
+        while begin < start + length:
+            assert data[begin] == opcode
+            begin += 9 + int.from_bytes(data[begin + 1 : begin + 9], "little")
+        assert begin == start + length
+    assert begin == offsets
+    assert len({opcode for opcode, _, _ in groups}) == len(groups) == 6
 
 
 def test_a_file_without_messages(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from gpusimbench.schemas.treatment import (
     Initial,
     Intervention,
     Keep,
+    Vary,
     drawn,
     initial_words,
     parse_initial,
@@ -94,3 +95,10 @@ def test_a_teacher_comes_again() -> None:
     """Stop after each whole multiple of the steps, and not after the last step."""
     assert list(Intervention.parse("teacher@3").stops(9)) == [3, 6]
     assert Intervention.parse("teacher@3").teaches
+
+
+@pytest.mark.parametrize("text", ["mass:0.5", "mass:0.5,shift:3", "mass:0.5,but:0"])
+def test_parameters_in_their_usual_places(text: str) -> None:
+    """Give the same spreads with every environment in its own place."""
+    assert Vary.parse(text).usual == Vary.parse("mass:0.5")
+    assert (Vary.parse(text).usual == Vary.parse(text)) is (text == "mass:0.5")

@@ -13,7 +13,7 @@ from typing import Any
 
 from gpusimbench.evaluator.check.rules.fact import FactType, Unknown
 from gpusimbench.evaluator.check.rules.facts import FACTS
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, few, first
 
 _SHOWN = 3
 _NAMED = 6
@@ -138,9 +138,8 @@ def _all_same(values: Mapping[str, Any], _: Any, __: Any) -> tuple[tuple[str, tu
         findings = [finding for one in by_name for finding in one]
         if not findings:
             return ()
-        more = f"; and {len(findings) - _NAMED} more differ" if len(findings) > _NAMED else ""
-        told = "; ".join(found for found, _ in findings[:_NAMED])
-        return ((f"{told}{more}", tuple(dict.fromkeys(file for _, odd in findings for file in odd))),)
+        told = "; ".join(first([found for found, _ in findings], _NAMED, " differ"))
+        return ((told, tuple(dict.fromkeys(file for _, odd in findings for file in odd))),)
     return _different(values, "found ")
 
 
@@ -152,9 +151,8 @@ def _different(values: Mapping[str, Any], what: str) -> tuple[tuple[str, tuple[s
         return ()
     usual = max(files, key=lambda key: len(files[key]))
     shown = [f"{show(values[found[0]])} in {_files(found)}" for found in files.values()]
-    more = f" and {len(shown) - _SHOWN} more values" if len(shown) > _SHOWN else ""
     odd = tuple(file for key, found in files.items() if key != usual for file in found)
-    return ((f"{what}{', '.join(shown[:_SHOWN])}{more}", odd),)
+    return ((f"{what}{few(shown, _SHOWN, ' values')}", odd),)
 
 
 def _files(found: list[str]) -> str:

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.schemas.provenance import Deviation
+from gpusimbench.schemas.text import few
 
 _HOW = (
     "Parameters of the scene that an engine could not honour, by its adapter's own statement: what the scene wants, "
@@ -81,8 +82,7 @@ def _table(found: Matrix, begin: int) -> Table:
     for number, (names, labels) in enumerate(found.columns, start=begin + 1):
         titles.append(", ".join(names) + (f" (note {number})" if labels else ""))
         if labels:
-            more = f" and {len(labels) - _LABELS} more" if len(labels) > _LABELS else ""
-            notes.append(f"note {number}: {'; '.join(labels[:_LABELS])}{more}")
+            notes.append(f"note {number}: {few(labels, _LABELS, by='; ')}")
     cells = {text for row in found.rows for text in (row[1], *row[2])}
     used = [f"{letter} {said}" for letter, said in found.legend if any(letter in text for text in cells)]
     legend = [*used, *notes]

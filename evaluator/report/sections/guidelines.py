@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from gpusimbench.evaluator.metrics.guidelines import Guideline
 from gpusimbench.evaluator.render.document import Cell, Section, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.schemas.text import few
 
 _HOW = (
     "Each pick follows from its rule and from these recordings, and from nothing else. INVALID runs, bodies that went "
@@ -64,11 +65,6 @@ def _not_picked(one: Guideline, reasons: Reasons) -> Iterator[str]:
     yield from (f"qualifies too, not ranked: {said}" for said in one.unranked)
     for title, names in (("do not qualify", one.disqualified), ("lack a figure", one.unmeasured)):
         if names:
-            yield f"{title}: {_few(names)}"
+            yield f"{title}: {few(names, _NAMED)}"
     for said in one.barred:
         yield f"barred: {said}"
-
-
-def _few(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"{', '.join(names[:_NAMED])}{more}"

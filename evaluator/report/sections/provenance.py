@@ -29,6 +29,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.text import first
 from gpusimbench.schemas.treatment import initial_words
 
 _DEPTH = 3
@@ -125,8 +126,7 @@ def _pairs(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
         if isinstance(value, dict) and value and prefix.count(".") < _DEPTH:
             yield from _pairs(value, f"{name}.")
         elif isinstance(value, (list, tuple)):
-            more = [f"and {len(value) - _ROWS} more"] if len(value) > _ROWS else []
-            yield name, ", ".join([*map(str, value[:_ROWS]), *more]) or "none"
+            yield name, ", ".join(first([*map(str, value)], _ROWS)) or "none"
         else:
             yield name, "none" if value is None or value in ("", {}) else str(value)
 

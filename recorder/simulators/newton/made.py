@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.scenes.model.contents import choices, solver_options
 from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
+from gpusimbench.schemas.text import few
 
 Quantities = dict[str, NDArray[np.float64]]
 """Arrays by dotted name, "body.mass" or "joint.damping": a row for each body but the world, or for each joint that is
@@ -185,7 +186,7 @@ def _contacts(model: Any, made: Any, at: NDArray[np.int64], reason: str) -> Iter
         if pairs:
             listed = [f"{names[a]} and {names[b]}" for a, b in sorted(pairs)]
             opposite = "do not collide" if word == "collide" else "collide"
-            yield Deviation("contact.pairs", f"{_some(listed)} {word}", opposite, reason)
+            yield Deviation("contact.pairs", f"{few(listed, _SHOWN)} {word}", opposite, reason)
 
 
 def _not_of_others(model: Any, name: str) -> Iterator[Deviation]:
@@ -206,7 +207,9 @@ def _not_of_others(model: Any, name: str) -> Iterator[Deviation]:
         label = model.equality(e).name or f"equality{e}"
         yield Deviation(label, f"constraint of equality, {kind}", "none", f"solver {name} is given none of MuJoCo's")
     if np.any(model.body_gravcomp):
-        yield Deviation("body.gravcomp", _some(_bodies(model)), "0", f"solver {name} has no compensation of gravity")
+        yield Deviation(
+            "body.gravcomp", few(_bodies(model), _SHOWN), "0", f"solver {name} has no compensation of gravity"
+        )
     if np.any(model.jnt_actfrclimited):
         yield Deviation("joint.actuatorfrcrange", "limited", "unlimited", f"solver {name} does not limit drives")
     yield Deviation(
@@ -245,12 +248,7 @@ def different(parameter: str, items: list[str], arrays: Sequence[NDArray[Any]], 
             [f"{items[row]} {' '.join(f'{x:.6g}' for x in array[row])}".strip() for row in rows]
             for array in (wanted, used)
         ]
-        yield Deviation(parameter, _some(texts[0]), _some(texts[1]), reason)
-
-
-def _some(texts: list[str]) -> str:
-    more = f" and {len(texts) - _SHOWN} more" if len(texts) > _SHOWN else ""
-    return ", ".join(texts[:_SHOWN]) + more
+        yield Deviation(parameter, few(texts[0], _SHOWN), few(texts[1], _SHOWN), reason)
 
 
 def _joints(model: Any) -> NDArray[np.int64]:
