@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text
 from gpusimbench.evaluator.report.sections import (
     accumulation,
+    canonical,
     comparison,
     consistency,
     convergence,
@@ -43,6 +44,7 @@ SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
     probed.section,
     mechanics.section,
     convergence.section,
+    canonical.section,
     throughput.section,
     scaling.section,
     accumulation.section,

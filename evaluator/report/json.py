@@ -118,6 +118,7 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "faults": faults_record(faults(result)),
         "divergence": divergence_records(result),
         "physics": fidelity_record(result.fidelity),
+        "laws": [{**vars(law), "sensitivities": [vars(one) for one in law.sensitivities]} for law in result.laws],
         "deviations": [vars(d) for d in _deviations(result)],
         "notes": list(result.notes),
     }

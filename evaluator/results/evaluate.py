@@ -18,6 +18,7 @@ from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.questions import Probed, probed
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.accumulation import accumulations
+from gpusimbench.evaluator.results.canonical import laws
 from gpusimbench.evaluator.results.convergence import convergences
 from gpusimbench.evaluator.results.density_maps import reference_density, shared_map, with_cloud
 from gpusimbench.evaluator.results.details import SunkCubes
@@ -282,6 +283,7 @@ def _evaluate_group(
         cloud=None,
         validity=validity_of(group),
         fidelity=fidelity(label, [run.physics for run in runs]),
+        laws=laws(label, [run.physics for run in runs]),
         notes=tuple(_notes(group, runs, reference, sample_time)),
         spreads=tuple(RunSpread(r.configuration.run_index, r.spread) for r in runs),
         timed=timed_work(group.key, runs, unmet),

@@ -23,17 +23,24 @@ def states(
 
     Added is, uniformly within +- spread and independently for each environment:
 
-        to the linear velocity of every free body, along each axis [m/s]
+        to the linear velocity of every free body, along each axis, or along the one that the body is launched along, by
+        the first of the three draws [m/s]
         to the angle of every joint [rad], kept within its limits
 
     No body is moved, so that none penetrates another.
     """
     found, limits = [], scene.joint_limits()
+    launches = {(body.group, body.name): body.launch for body in scene.moving()}
     for place, (layout, array) in enumerate(zip(fields, first, strict=True)):
         if layout.field not in ("linear_velocity", "qpos"):
             found.append(array.copy())
             continue
-        given = array + draw(initial, seed, place, array.shape).astype(array.dtype)
+        added = draw(initial, seed, place, array.shape)
+        if layout.field == "linear_velocity":
+            for item, name in enumerate(layout.items):
+                if (launch := launches.get((layout.group, name))) is not None:
+                    added[:, item] = added[:, item, :1] * np.array(launch)
+        given = array + added.astype(array.dtype)
         if layout.field == "qpos" and layout.group in limits:
             bounds = np.array(limits[layout.group], dtype=array.dtype)
             given = np.clip(given, bounds[:, :1], bounds[:, 1:])

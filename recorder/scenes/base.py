@@ -110,6 +110,8 @@ class Body:
     orientation       unit quaternion wxyz
     linear_velocity   of the centre [m/s]
     angular_velocity  in the world frame [rad/s]
+    launch            direction along which --initial draws the velocity, a unit vector of the world frame, or zero
+                      where it draws none; None: along all axes
     """
 
     name: str
@@ -121,6 +123,7 @@ class Body:
     orientation: Quaternion = IDENTITY
     linear_velocity: Vector = (0.0, 0.0, 0.0)
     angular_velocity: Vector = (0.0, 0.0, 0.0)
+    launch: Vector | None = None
 
     @property
     def fixed(self) -> bool:

@@ -16,6 +16,8 @@ from gpusimbench.recorder.scenes.cube_toss import cube_toss
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.free_fall import free_fall
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
+from gpusimbench.recorder.scenes.pendulum import pendulum
+from gpusimbench.recorder.scenes.sliding_block import sliding_block
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
@@ -28,6 +30,8 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "free-fall": free_fall,
     "franka": franka,
     "cube-toss": cube_toss,
+    "pendulum": pendulum,
+    "sliding-block": sliding_block,
 }
 """The built-in ones."""
 

@@ -24,6 +24,7 @@ A = Ability
 ENGINES = [entry.name for entry in BUILT_IN]
 WITH_ROBOTS = {"mujoco", "warp", "mjx", "playground", "genesis", "physx", "sapien"}
 NO_ARM = "it has no fixed-base robots, hinge joints or actions"
+NO_JOINT = "it has no fixed-base robots or hinge joints"
 WITH_ENV_STARTS = {*ENGINES} - {"isaaclab", "maniskill", "madrona"}
 NO_ENV_STARTS = "it has no initial states per environment"
 
@@ -70,7 +71,11 @@ def test_every_pair(simulator: str, scene: str) -> None:
     """Take what the engine has the abilities for, and refuse the rest in one sentence, from the constructor as well."""
     made, adapter = make_scene(scene), find_simulator(simulator).adapter()
     said = refusal(simulator, made)
-    without = {"franka": (WITH_ROBOTS, NO_ARM), "cube-toss": (WITH_ENV_STARTS, NO_ENV_STARTS)}
+    without = {
+        "franka": (WITH_ROBOTS, NO_ARM),
+        "cube-toss": (WITH_ENV_STARTS, NO_ENV_STARTS),
+        "pendulum": (WITH_ROBOTS, NO_JOINT),
+    }
     able, why = without.get(scene, (ENGINES, ""))
     if simulator in able:
         assert not said

@@ -93,6 +93,30 @@ Facts = Mapping[Check, Fact]
 
 
 @dataclass(frozen=True)
+class LawValues:
+    """One law in one run.
+
+    key        for JSON
+    title      as tables show it
+    unit       of the values
+    measured   by environment; NaN where the motion did not take place
+    predicted  by environment, in closed form
+    tolerance  that the step may add to the mean on either side, by the formula `of`
+    slopes     by parameter: the derivative of the predicted value, mean over environments, in `unit` for a share of 1
+               of the parameter ("mass", "friction"), or for 1 N m s/rad ("damping"); 0 where it has no effect
+    """
+
+    key: str
+    title: str
+    unit: str
+    measured: tuple[float, ...]
+    predicted: tuple[float, ...]
+    tolerance: float
+    of: str
+    slopes: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
 class PhysicsFacts:
     """All that was measured of one run.
 
@@ -101,6 +125,7 @@ class PhysicsFacts:
     envs      first and last environment of each range that was looked at
     facts     of every check, in their order; Missing where nothing can be said of the run
     revision  by whose tolerances
+    laws      of motions that are known in closed form; empty where the scene has none
     """
 
     scene: str
@@ -108,6 +133,7 @@ class PhysicsFacts:
     envs: tuple[tuple[int, int], ...]
     facts: Facts | Missing
     revision: Revision = NEWEST
+    laws: tuple[LawValues, ...] = ()
 
     @property
     def looked_at(self) -> int:

@@ -14,6 +14,7 @@ from gpusimbench.evaluator.runs.physics.ending import end_facts
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Fact, Facts, PhysicsFacts, Revision, measured
 from gpusimbench.evaluator.runs.physics.fall import fall_facts
 from gpusimbench.evaluator.runs.physics.joints import joint_facts, limits_of
+from gpusimbench.evaluator.runs.physics.laws import laws_of
 from gpusimbench.evaluator.runs.physics.setting import Setting
 from gpusimbench.evaluator.runs.physics.slides import Slides
 from gpusimbench.evaluator.runs.physics.slope import slope_facts
@@ -45,7 +46,7 @@ def physics_of(recording: Recording, sank: Sunk | Missing | None = None, revisio
     facts = _facts(recording, envs, sank, revision)
     if not isinstance(facts, Missing):
         facts = {check: facts.get(check, _NO_JOINTS) for check in Check}
-    return PhysicsFacts(recording.configuration.scene, n_env, envs, facts, revision)
+    return PhysicsFacts(recording.configuration.scene, n_env, envs, facts, revision, laws_of(recording))
 
 
 def _facts(

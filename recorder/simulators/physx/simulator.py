@@ -205,7 +205,7 @@ class Physx(Simulator):
         self._done += n_step
         self._stepped = True
         for _ in range(n_step):
-            if self._arms is not None:
+            if self._arms is not None and self.scene.actions is not None:
                 self._arms.command()
             self._session.physx.step_sync(self.dt)
 

@@ -1,0 +1,60 @@
+"""Motions that are known in closed form: measured, predicted, and the smallest change that would show."""
+
+from __future__ import annotations
+
+from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
+from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.canonical import Law, Sensitivity
+
+_TITLES = ("simulator", "law", "envs", "measured", "predicted", "difference", "tolerance", "smallest change", "verdict")
+_HOW = (
+    "Difference: measured minus predicted, mean over environments, with its 95 % interval. Held: the interval comes "
+    "within the tolerance of zero. Smallest change: of a parameter of the engine, which two recordings of these "
+    "environments, before and after the change, tell apart in 95 of 100 cases (two-sided test, 5 %)."
+)
+
+
+def section(source: Source) -> Section | None:
+    """None without canonical scenes."""
+    found = [law for result in source.shown for law in result.laws]
+    if not found:
+        return None
+    broken = sum(not law.held for law in found)
+    said = f"{broken} of {plural(len(found), 'law')} broken"
+    shown = Table("canonical", "", tuple(map(Column, _TITLES)), tuple(Row(_cells(law)) for law in found))
+    return Section("canonical", "Laws in closed form", (Text(_HOW), shown), said, folded=True)
+
+
+def _cells(law: Law) -> tuple[Cell, ...]:
+    unit = f" [{law.unit}]" if law.unit else ""
+    off = f"{law.difference:.3g}"
+    if law.ci95:
+        off += f" [{law.ci95[0]:.3g}, {law.ci95[1]:.3g}]"
+    changes = "; ".join(map(change, law.sensitivities))
+    verdict = Cell("held", tone=Tone.GOOD) if law.held else Cell("BROKEN", tone=Tone.BAD)
+    return (
+        Cell(law.label), Cell(law.title + unit), Cell(f"{law.count} of {law.of_envs}", law.count),
+        Cell(f"{law.measured:.5g}", law.measured), Cell(f"{law.predicted:.5g}", law.predicted),
+        Cell(off, law.difference), Cell(f"{law.tolerance:.3g}", law.tolerance, notes=(law.of,)),
+        Cell(changes or NONE), verdict,
+    )  # fmt: skip
+
+
+def change(one: Sensitivity) -> str:
+    """A sensitivity in words."""
+    if one.least is None:
+        return f"insensitive to {one.parameter}"
+    size = f"{one.least:.2g} N m s/rad" if one.parameter == "damping" else f"{100 * one.least:.2g} %"
+    return f"{one.parameter} {size}"
+
+
+def sentence(law: Law) -> str:
+    """A law in a sentence, for a terminal that is too narrow for the table."""
+    unit = f" {law.unit}" if law.unit else ""
+    verdict = "held" if law.held else "BROKEN"
+    changes = "; ".join(map(change, law.sensitivities))
+    return (
+        f"{law.label}, {law.title}: {law.measured:.5g}{unit}, predicted {law.predicted:.5g}{unit}, {verdict} "
+        f"(difference {law.difference:.2g}, tolerance {law.tolerance:.2g}); smallest change that shows: {changes}"
+    )

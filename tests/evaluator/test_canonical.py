@@ -1,0 +1,189 @@
+"""Scenes with closed-form answers: what a run did, what mechanics predicts, and what would have been noticed."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import ndtr
+
+from gpusimbench import open_recording
+from gpusimbench.evaluator.metrics.physics.closed_form import pendulum_period, stopping_distance
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.state_array import StateArray
+from gpusimbench.evaluator.results.canonical import laws, least_change
+from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
+from gpusimbench.evaluator.runs.physics.laws import laws_of
+from tests.conftest import call
+
+_COMMON = ("--sim", "mujoco", "--n-env", "12", "--runs", "1", "--phases", "capture", "--seed", "3")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A pendulum, and blocks at a step of 2 ms and of 10 ms, on MuJoCo C; every environment begins otherwise."""
+    folder = tmp_path_factory.mktemp("canonical")
+    asked = {
+        "pendulum": ("--scene", "pendulum", "--initial", "random:1.0"),
+        "blocks": ("--scene", "sliding-block", "--initial", "random:0.5", "--dt", "0.002", "--steps", "1000"),
+        "coarse": ("--scene", "sliding-block", "--initial", "random:0.5"),
+    }
+    found = {}
+    for name, options in asked.items():
+        done = call("gsb-record", *_COMMON, *options, "--out", folder / name)
+        assert done.returncode == 0, done.stderr
+        found[name] = Path(done.stdout.split()[0])
+    return found
+
+
+def _laws(path: Path) -> dict[str, dict[str, object]]:
+    done = call("gsb-eval", path, "--json", "-")
+    assert done.returncode == 0, done.stderr
+    (group,) = json.loads(done.stdout)["groups"]
+    return {law["key"]: law for law in group["laws"]}
+
+
+@pytest.mark.parametrize("amplitude", [0.01, 1.0, 2.5, 3.1])
+def test_the_period_is_the_elliptic_integral(amplitude: float) -> None:
+    """Agree with 2/pi K(sin(a/2)) by quadrature of the integral itself."""
+    k = math.sin(amplitude / 2)
+    integral, _ = quad(lambda t: 1 / math.sqrt(1 - (k * math.sin(t)) ** 2), 0, math.pi / 2, epsabs=1e-12)
+    assert float(pendulum_period(np.array([amplitude]), 2.0)[0]) == pytest.approx(4 / math.pi * integral, rel=1e-9)
+
+
+def test_a_block_stops_where_its_speed_is_spent() -> None:
+    """Agree with small steps of v dv = -d ds."""
+    speed, way, step = 2.0, 0.0, 1e-5
+    while speed > 0:
+        way, speed = way + speed * step, speed - 3.0 * step
+    assert float(stopping_distance(np.array([2.0]), -3.0)[0]) == pytest.approx(way, rel=1e-4)
+
+
+def test_environments_begin_on_their_own_and_along_the_planks(recorded: dict[str, Path]) -> None:
+    """Draw an angle for each pendulum, a speed along its plank for each launched block, and nothing for the others."""
+    angles = open_recording(recorded["pendulum"]).state("robot", "qpos").read(slice(0, 1), slice(None))[0, :, 0, 0]
+    assert len(set(angles.tolist())) == 12 and np.ptp(angles) > 0.5
+    blocks = open_recording(recorded["blocks"]).state("cubes", "linear_velocity").read(slice(0, 1), slice(None))[0]
+    tilt = np.radians([0.0, 8.0, -8.0])
+    along = np.stack([np.cos(tilt), 0 * tilt, -np.sin(tilt)], axis=-1)
+    speed = (blocks[:, :3] * along).sum(axis=-1)
+    assert np.allclose(blocks[:, :3], speed[..., None] * along, atol=1e-12)
+    assert np.ptp(speed, axis=0).min() > 0.3 and speed.min() >= 1.5 and speed.max() <= 2.5
+    assert not blocks[:, 3:].any()
+
+
+def test_mujoco_keeps_the_laws_of_the_pendulum(recorded: dict[str, Path]) -> None:
+    """Hold the period and the energy, and say what neither depends on."""
+    found = _laws(recorded["pendulum"])
+    assert set(found) == {"period", "energy_change"}
+    assert all(law["held"] and law["count"] == 12 for law in found.values())
+    assert abs(found["period"]["difference"]) < 1e-3  # type: ignore[arg-type]
+    least = {one["parameter"]: one["least"] for one in found["period"]["sensitivities"]}  # type: ignore[attr-defined]
+    assert least == {"mass": None, "damping": None}
+    least = {one["parameter"]: one["least"] for one in found["energy_change"]["sensitivities"]}  # type: ignore[attr-defined]
+    assert least["mass"] is None and 0 < least["damping"] < 1e-3
+
+
+def test_mujoco_brakes_right_and_creeps(recorded: dict[str, Path]) -> None:
+    """Hold every acceleration at a short step, and see the creep of a block that should stick."""
+    found = _laws(recorded["blocks"])
+    names = ("level", "downhill", "uphill")
+    assert set(found) == {f"{n}_{w}" for n in names for w in ("acceleration", "distance")} | {
+        "stick_creep", "slip_acceleration",
+    }  # fmt: skip
+    assert all(found[f"{name}_acceleration"]["held"] for name in (*names, "slip"))
+    assert found["stick_creep"]["difference"] > 5e-4 and not found["stick_creep"]["held"]  # type: ignore[operator]
+    coarse = _laws(recorded["coarse"])["level_acceleration"]
+    for law in (found["level_acceleration"], coarse):
+        assert law["predicted"] == pytest.approx(-0.3 * 9.81)
+    assert abs(coarse["difference"]) > 5 * abs(found["level_acceleration"]["difference"])  # type: ignore[arg-type]
+
+
+def test_the_table_is_printed(recorded: dict[str, Path]) -> None:
+    """Print what the laws are insensitive to, and the size of change that shows."""
+    said = " ".join(call("gsb-eval", recorded["pendulum"]).stdout.split())
+    assert "mujoco, period of the pendulum: 1." in said and "held (difference" in said
+    assert "smallest change that shows: insensitive to mass; insensitive to damping" in said
+    assert "insensitive to mass; damping " in said and " N m s/rad" in said
+
+
+@pytest.mark.parametrize(("name", "array"), [("pendulum", "qpos"), ("pendulum", "qvel"), ("blocks", "linear")])
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e300])
+def test_a_run_that_blew_up_has_no_laws(
+    recorded: dict[str, Path], monkeypatch: pytest.MonkeyPatch, name: str, array: str, value: float
+) -> None:
+    """Say nothing, and fail at nothing, where one number is that of no motion."""
+
+    def spoiled(read: Callable[..., Any]) -> Callable[..., Any]:
+        def made(self: StateArray, *at: Any) -> Any:
+            found = np.array(read(self, *at), dtype=np.float64)
+            if array in self.field.field:
+                found[-1] = value
+            return found
+
+        return made
+
+    with monkeypatch.context() as patch:
+        patch.setattr(StateArray, "read", spoiled(StateArray.read))
+        assert laws_of(Recording(recorded[name])) == ()
+    assert laws_of(Recording(recorded[name]))
+
+
+def _values(measured: list[float], predicted: float = 1.0, slope: float = 2.0) -> PhysicsFacts:
+    law = LawValues(
+        "it",
+        "it",
+        "m",
+        tuple(measured),
+        (predicted,) * len(measured),
+        0.01,
+        "none",
+        (("friction", slope), ("mass", 0.0)),
+    )
+    return PhysicsFacts("pendulum", len(measured), ((0, len(measured) - 1),), {}, laws=(law,))
+
+
+def test_a_planted_error_is_broken_and_none_is_held() -> None:
+    """Tell a shift of ten standard errors beyond the tolerance from none; leave out what did not take place."""
+    noise = np.random.default_rng(1).normal(0.0, 0.001, 50)
+    (right,) = laws("a", [_values([*(1.0 + noise), math.nan])])
+    assert right.held and right.count == 50 and right.of_envs == 51
+    (wrong,) = laws("a", [_values([*(1.02 + noise)])])
+    assert not wrong.held and wrong.difference == pytest.approx(0.02, abs=1e-3)
+    assert laws("a", [_values([math.nan, math.nan])]) == ()
+
+
+def test_runs_of_a_group_are_no_further_experiments() -> None:
+    """Keep the interval as wide when the same environments are recorded ten times."""
+    one = _values([1.0, 1.1, 0.9, 1.05])
+    (once,), (often,) = laws("a", [one]), laws("a", [one] * 10)
+    assert often.ci95 == pytest.approx(once.ci95)
+    longer = replace(one, laws=(replace(one.laws[0], measured=(1.0,), predicted=(1.0,)),))
+    (single,) = laws("a", [longer])
+    assert single.ci95 is None and single.sensitivities[0].exact and single.sensitivities[0].least == 0.01 / 2.0
+
+
+def test_the_smallest_change_is_seen_95_times_in_100() -> None:
+    """Detect a change of that size with the power that is printed, by counting; none in 20 where nothing changed."""
+    n, sigma, slope = 64, 0.3, -2.0
+    least = least_change(slope, sigma / math.sqrt(n), exact=False)
+    assert least is not None
+    rng = np.random.default_rng(5)
+
+    def rate(change: float) -> float:
+        before = rng.normal(0.0, sigma, (4000, n))
+        after = rng.normal(slope * change, sigma, (4000, n))
+        off = after.mean(axis=1) - before.mean(axis=1)
+        error = np.sqrt(before.var(axis=1, ddof=1) / n + after.var(axis=1, ddof=1) / n)
+        return float((2 * ndtr(-np.abs(off / error)) < 0.05).mean())
+
+    assert rate(least) == pytest.approx(0.95, abs=0.015)
+    assert rate(0.0) == pytest.approx(0.05, abs=0.015)
+    assert rate(least / 2) < 0.7
