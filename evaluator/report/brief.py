@@ -12,7 +12,7 @@ from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, 
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.leaders import fastest
-from gpusimbench.evaluator.report.sections.canonical import sentence as law_sentence
+from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sentence
 from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
@@ -37,7 +37,7 @@ def brief(evaluation: Evaluation) -> Document:
     """The document of a terminal's first page."""
     results = evaluation.results
     body: list[Block] = [_one(results[0])] if len(results) == 1 else [*_several(evaluation)]
-    body += [Text(law_sentence(law)) for result in usual(results) for law in result.laws]
+    body += [Text(laws_sentence(result.laws)) for result in usual(results) if result.laws]
     return Document(
         _verdict(evaluation),
         (*body, *_troubles(evaluation), Text(MORE, Tone.QUIET)),

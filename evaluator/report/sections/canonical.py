@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report.source import Source
@@ -49,12 +51,10 @@ def change(one: Sensitivity) -> str:
     return f"{one.parameter} {size}"
 
 
-def sentence(law: Law) -> str:
-    """A law in a sentence, for a terminal that is too narrow for the table."""
-    unit = f" {law.unit}" if law.unit else ""
-    verdict = "held" if law.held else "BROKEN"
-    changes = "; ".join(map(change, law.sensitivities))
-    return (
-        f"{law.label}, {law.title}: {law.measured:.5g}{unit}, predicted {law.predicted:.5g}{unit}, {verdict} "
-        f"(difference {law.difference:.2g}, tolerance {law.tolerance:.2g}); smallest change that shows: {changes}"
-    )
+def sentence(laws: Sequence[Law]) -> str:
+    """The laws of one group in a sentence, which names those that are broken."""
+    broken = [law for law in laws if not law.held]
+    said = f"{laws[0].label}: {len(laws) - len(broken)} of {plural(len(laws), 'law')} in closed form held"
+    units = [f" {law.unit}" if law.unit else "" for law in broken]
+    off = [f"{x.title} {x.measured:.4g}{u}, predicted {x.predicted:.4g}{u}" for x, u in zip(broken, units, strict=True)]
+    return said + (f"; BROKEN: {'; '.join(off)}" if off else "")
