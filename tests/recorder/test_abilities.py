@@ -25,7 +25,7 @@ ENGINES = [entry.name for entry in BUILT_IN]
 WITH_ROBOTS = {"mujoco", "warp", "mjx", "playground", "genesis", "physx", "sapien"}
 NO_ARM = "it has no fixed-base robots, hinge joints or actions"
 NO_JOINT = "it has no fixed-base robots or hinge joints"
-WITH_ENV_STARTS = {*ENGINES} - {"isaaclab", "maniskill", "madrona"}
+WITH_ENV_STARTS = {*ENGINES} - {"maniskill", "madrona"}
 NO_ENV_STARTS = "it has no initial states per environment"
 
 abilities = st.frozensets(st.sampled_from(Ability))

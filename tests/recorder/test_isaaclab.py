@@ -93,6 +93,21 @@ def test_second_simulation_repeats_the_first(backend: str) -> None:
     assert same(*trajectories)
 
 
+@backends
+def test_states_that_are_set_belong_to_their_environments(backend: str) -> None:
+    """Poses and speeds go to the environments that they are meant for, whatever the order, and the others stay."""
+    with built(n_env=3, backend=backend) as (simulator, _):
+        simulator.step(3)
+        before = simulator.state()
+        given = tuple(array[[2, 0]].copy() for array in simulator.state())
+        given[2][:] = [[[0.5, 0.0, 0.0]], [[-0.5, 0.0, 0.0]]]
+        simulator.set_state(given, np.array([2, 0]))
+        after = simulator.state()
+        assert same(tuple(array[[1]] for array in before), tuple(array[[1]] for array in after))
+        for wanted, found in zip(given, after, strict=True):
+            assert np.allclose(wanted, found[[2, 0]], atol=1e-6)
+
+
 @pytest.mark.parametrize("count", [1, 5, 6, 7, 8])
 def test_bodies_keep_their_own_speeds(count: int) -> None:
     """Any number of bodies moves as described, also those numbers for which Isaac Lab mixes them up."""

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
+from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 if TYPE_CHECKING:
@@ -113,6 +116,17 @@ class Newton:
         bits, *counts = (array[:rows].numpy().copy() for array in self._stored)
         named = {counter.name: array for counter, array in zip(self.counters, counts, strict=True)}
         return Evidence(named, bits.astype(np.uint32))
+
+    def kept(self) -> dict[str, NDArray[np.float32]]:
+        """What decides the next step besides poses and speeds, [env, ...]: with what the solver begins."""
+        return {"qacc_warmstart": np.array(self._solver.mjw_data.qacc_warmstart.numpy())}
+
+    def put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs) -> None:
+        """Give some environments, or all, what ``kept`` kept of them, [env of envs, ...]."""
+        held = self._solver.mjw_data.qacc_warmstart
+        values = held.numpy().copy()
+        values[slice(None) if envs is None else envs] = arrays["qacc_warmstart"]
+        held.assign(values)
 
     def in_force(self) -> dict[str, Any]:
         """The options that Newton has, as the solver has them."""

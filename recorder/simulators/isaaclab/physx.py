@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import metadata
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.engine_log import EngineLog
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import GPU_SIZES, IsaacLabOptions
 from gpusimbench.recorder.simulators.isaaclab.scene import BODY_LIMITS
+from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
@@ -111,6 +116,13 @@ class Physx:
     def evidence(self, rows: int) -> Evidence | None:
         """PhysX has contacts to show only where a sensor asks for them, which would cost."""
         return None
+
+    def kept(self) -> dict[str, NDArray[np.float32]]:
+        """Nothing besides poses and speeds: PhysX shows none of it."""
+        return {}
+
+    def put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs) -> None:
+        """Nothing was kept."""
 
     def in_force(self) -> dict[str, Any]:
         """The options that PhysX has."""

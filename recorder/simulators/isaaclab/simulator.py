@@ -7,6 +7,7 @@ read once a block is full.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import metadata
 from importlib.util import find_spec
 from typing import Any
@@ -19,6 +20,7 @@ from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField, body_fields
@@ -26,6 +28,7 @@ from gpusimbench.schemas.fields import StateField, body_fields
 _OLDEST = 3  # before it, quaternions were wxyz, and nothing ran without Isaac Sim
 _ROWS = 50
 _ROW_BYTES = 512 << 20  # of all rows
+_POSES, _SPEEDS = "body_link_pose_w", "body_com_vel_w"
 _BODY = 4 * (7 + 6)  # bytes of a body's pose and speeds
 
 _LEVELS = {
@@ -33,6 +36,16 @@ _LEVELS = {
     "physx": ("default", "enhanced"),
     "newton": ("default", "run-to-run", "gpu-to-gpu"),
 }
+
+_CONTACTS = partial(
+    "what PhysX keeps to itself of contacts, such as impulses, friction and the order of their solution"
+)
+_ROUNDED = partial("the last bits of poses and speeds, which Isaac Lab converts when it takes them")
+_CLAIMS = {
+    "newton": StateClaims(_ROUNDED, _ROUNDED, COMPLETE, COMPLETE),
+    "ovphysx": StateClaims(_CONTACTS, _CONTACTS, _CONTACTS, _CONTACTS),
+}
+"""By backend; of what runs within Isaac Sim nothing is known."""
 
 
 class IsaacLab(Simulator):
@@ -79,6 +92,8 @@ class IsaacLab(Simulator):
         self._physics = self._make_physics()
         self._world = self._make_world()
         self._physics.attach(self._world.sim, self._rows())
+        self._made = 0  # steps
+        self._first = self._kept()
         places = {body.name: index for index, body in enumerate(self.scene.moving())}
         self._groups = [np.array([places[name] for name in names]) for names in self.scene.groups().values()]
         origins = tuple((float(x), float(y), float(z)) for x, y, z in self._world.origins.tolist())
@@ -157,13 +172,16 @@ class IsaacLab(Simulator):
     def compile(self, phase: str) -> None:
         """See Simulator.compile: Newton builds its kernels in its first step, which is then taken back."""
         if self.options.backend == "newton" and not self._compiled:
+            before = [array.clone() for array in self._world.state()]
             try:
                 self._world.step()
             except (RuntimeError, ValueError, NotImplementedError) as error:
                 raise self._refused(error) from None
-            self._world.restore()
+            self._world.put(*before, None)
             self._physics.rewind()
             self._physics.store()  # which forgets what that step has shown
+            if not self._made:
+                self._first.update(self._physics.kept())  # the first step begins with what that step has left
         self._compiled = True
         self._world.state()
         if phase == "capture" and self._ring is None:
@@ -182,6 +200,7 @@ class IsaacLab(Simulator):
         self._stepped = True
         for _ in range(n_step):
             self._world.step()
+        self._made += n_step
         self._wait()
 
     def _wait(self) -> None:
@@ -212,6 +231,7 @@ class IsaacLab(Simulator):
                 self._physics.store()
             states.append(self._split(poses[:rows].cpu().numpy(), speeds[:rows].cpu().numpy()))
             evidence.append(self._physics.evidence(rows))
+        self._made += n_step
         self._counted = _joined(evidence)
         self._stepped = False
         return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
@@ -223,6 +243,42 @@ class IsaacLab(Simulator):
             pose, speed = poses[:, :, group], speeds[:, :, group]
             arrays += [pose[..., :3], pose[..., [6, 3, 4, 5]], speed[..., :3], speed[..., 3:]]
         return tuple(arrays)
+
+    @classmethod
+    def state_claims(cls, options: Any) -> StateClaims:
+        """See Simulator.state_claims."""
+        return _CLAIMS.get(options.backend, StateClaims())
+
+    def snapshot(self) -> Snapshot:
+        """See Simulator.snapshot."""
+        return Snapshot(self._made, self._kept())
+
+    def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
+        """See Simulator.restore."""
+        self._put({name: array[_rows(envs)] for name, array in snapshot.arrays.items()}, envs, snapshot.step)
+
+    def reset(self, envs: Envs = None) -> None:
+        """See Simulator.reset: the first state is written, as tasks of Isaac Lab do."""
+        self._put({name: array[_rows(envs)] for name, array in self._first.items()}, envs, 0)
+
+    def set_state(self, states: States, envs: Envs = None) -> None:
+        """See Simulator.set_state."""
+        arrays = {name: array[_rows(envs)].copy() for name, array in self._first.items()}
+        for group, part in zip(self._groups, range(0, len(states), 4), strict=True):
+            position, orientation, linear, angular = states[part : part + 4]
+            arrays[_POSES][:, group] = np.concatenate([position, orientation[..., [1, 2, 3, 0]]], axis=-1)
+            arrays[_SPEEDS][:, group] = np.concatenate([linear, angular], axis=-1)
+        self._put(arrays, envs, 0)
+
+    def _kept(self) -> dict[str, NDArray[Any]]:
+        poses, speeds = (array.cpu().numpy().copy() for array in self._world.state())
+        return {_POSES: poses, _SPEEDS: speeds, **self._physics.kept()}
+
+    def _put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs, made: int) -> None:
+        self._world.put(arrays[_POSES], arrays[_SPEEDS], envs)
+        self._physics.put(arrays, envs)
+        if envs is None:
+            self._made = made
 
     def evidence(self) -> Evidence | None:
         """See Simulator.evidence."""
@@ -247,6 +303,10 @@ class IsaacLab(Simulator):
             held = vars(self).pop(name, None)
             if name != "_ring" and held is not None:
                 held.close()
+
+
+def _rows(envs: Envs) -> Any:
+    return slice(None) if envs is None else envs
 
 
 def _joined(parts: list[Evidence | None]) -> Evidence | None:

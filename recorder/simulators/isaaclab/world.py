@@ -12,6 +12,7 @@ from gpusimbench.recorder.simulators.isaaclab.newton import Newton
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.isaaclab.physx import Physx
 from gpusimbench.recorder.simulators.isaaclab.scene import scene_cfg, xyzw
+from gpusimbench.recorder.simulators.snapshot import Envs
 
 _WORLD = "/World"
 _ENVIRONMENTS = f"{_WORLD}/envs"
@@ -46,19 +47,24 @@ class World:
             self.sim.reset()
             self._collections = [_checked(environments[name], bodies) for name, bodies in collections.items()]
             self.origins = torch.as_tensor(environments.env_origins, dtype=torch.float32).cpu()
-            counts = [len(bodies) for bodies in collections.values()]
-            poses, speeds = (array.to(device).split(counts, dim=1) for array in _start_of(scene, self.origins))
-            self._start = [(pose.contiguous(), speed.contiguous()) for pose, speed in zip(poses, speeds, strict=True)]
+            self._device = device
+            self._counts = [len(bodies) for bodies in collections.values()]
             # some backends have made a very small step by now, enough to set bodies that touch spinning
-            self.restore()
+            self.put(*_start_of(scene, self.origins), None)
             undo.pop_all()
         self.warnings = tuple(dict.fromkeys(str(warning.message) for warning in caught))
 
-    def restore(self) -> None:
-        """Put all bodies where the scene has them, with the speeds that it gives them."""
-        for collection, (pose, speed) in zip(self._collections, self._start, strict=True):
-            collection.write_body_link_pose_to_sim_index(body_poses=pose)
-            collection.write_body_com_velocity_to_sim_index(body_velocities=speed)
+    def put(self, poses: Any, speeds: Any, envs: Envs) -> None:
+        """Give the bodies of some environments poses and speeds, torch or numpy [env of envs, body, ...], as ``state``
+        has them."""
+        import torch
+
+        ids = None if envs is None else torch.as_tensor(envs, dtype=torch.int32, device=self._device)
+        given = (torch.as_tensor(array, dtype=torch.float32, device=self._device) for array in (poses, speeds))
+        parts = zip(self._collections, *(array.split(self._counts, dim=1) for array in given), strict=True)
+        for collection, pose, speed in parts:
+            collection.write_body_link_pose_to_sim_index(body_poses=pose.contiguous(), env_ids=ids)
+            collection.write_body_com_velocity_to_sim_index(body_velocities=speed.contiguous(), env_ids=ids)
             collection.update(0.0)
 
     def step(self) -> None:
@@ -99,8 +105,7 @@ class World:
 
     def close(self) -> None:
         """End the simulation, so that another can begin. A second call does nothing."""
-        for name in ("_collections", "_start"):
-            vars(self).pop(name, None)
+        vars(self).pop("_collections", None)
         self._open.close()
         gc.collect()  # what belongs to the engine is in cycles
 
