@@ -251,6 +251,17 @@ def test_restitution_of_a_pair() -> None:
 
 
 @pytest.mark.usefixtures("engine")
+@pytest.mark.parametrize(("once", "grows"), [("true", True), ("false", False)])
+def test_how_gravity_is_applied(once: str, grows: bool) -> None:
+    """A pendulum without friction gains energy where TGS applies gravity in every iteration, and keeps it elsewhere."""
+    states = captured(make_scene("pendulum"), 500, external_forces_every_iteration=once)
+    angle = np.abs(states["robot/qpos"].ravel())
+    swings = float(angle[-200:].max() / angle[:200].max())  # 200 steps are more than a period
+    assert (swings > 1.05) is grows
+    assert grows or abs(swings - 1) < 1e-3
+
+
+@pytest.mark.usefixtures("engine")
 @pytest.mark.parametrize("solver", ["TGS", "PGS"])
 def test_kinetic_friction(solver: str) -> None:
     """A cube that slides is slowed by the mean kinetic coefficient, whatever the static ones."""

@@ -38,6 +38,8 @@ class PhysxOptions:
     solver                         TGS or PGS
     position_iterations            of the solver, from 1 on
     velocity_iterations            of the solver
+    external_forces_every_iteration  of TGS: gravity acts in every position iteration, as ovphysx has it; false: once a
+                                   step, as before ovphysx 0.7
     bounce_threshold               closing speed below which nothing rebounds [m/s]; ovphysx's default is none
     contact_offset                 of each shape [m]: a pair nearer than both has contacts
     rest_offset                    of each shape [m]: distance at which a pair rests; less than contact_offset
@@ -63,6 +65,7 @@ class PhysxOptions:
     solver: str = "TGS"
     position_iterations: int = 16
     velocity_iterations: int = 1
+    external_forces_every_iteration: bool = True
     bounce_threshold: float = NO_THRESHOLD
     contact_offset: float = 0.005
     rest_offset: float = 0.0
@@ -129,6 +132,8 @@ def apis(options: PhysxOptions, *, gpu: bool, enhanced: bool, capacities: dict[s
         "uint physxScene:minPositionIterationCount": 1,
         **{f"{_TYPES.get(name, 'uint')} physxScene:{name}": size for name, size in capacities.items()},
     }
+    if not options.external_forces_every_iteration:
+        scene["bool physxScene:enableExternalForcesEveryIteration"] = False
     iterations = {
         "PositionIterationCount": options.position_iterations,
         "VelocityIterationCount": options.velocity_iterations,

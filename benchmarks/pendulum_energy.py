@@ -1,0 +1,57 @@
+"""How much energy a swinging rod gains in PhysX, by solver, iterations and how gravity is applied.
+
+A frictionless pendulum keeps its energy. With TGS, an articulation's step of k position iterations moves the joint by
+v dt + a dt^2 (k + 1) / (2 k) and its speed by a dt, with the acceleration a of the begin of the step. For small
+oscillations of angular frequency w, the determinant of that map is 1 + (w dt)^2 (k - 1) / (2 k) instead of 1, so that
+ln(energy) grows by (k - 1) / (2 k) times (w dt)^2 a step. If that is the cause, the measured growth of ln(energy) over
+(k - 1) / (2 k) is the same number for every k, but for the amplitude, which lowers w as it grows.
+
+    python -m benchmarks.pendulum_energy        the table of docs/physics.md; needs the environment of PhysX
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.recorder import cli
+
+CASES: tuple[tuple[str, ...], ...] = (
+    *((f"position_iterations={k}",) for k in (1, 2, 4, 8, 16)),
+    ("external_forces_every_iteration=false",),
+    ("solver=PGS",),
+)
+DEFAULT = 16  # position iterations
+
+
+def measured(options: tuple[str, ...], folder: Path) -> tuple[float, float, float]:
+    """Period [s], the period that the law predicts [s], and the energy gained from the first to the last period, over
+    that of the first."""
+    asked = ["--sim", "physx", "--scene", "pendulum", "--n-env", "4", "--runs", "1", "--phases", "capture"]
+    asked += [f"--option={option}" for option in ("device=cpu", *options)]
+    code = cli.main([*asked, "--initial", "random:0.01", "--no-view", "--out", str(folder)])
+    assert code == 0, f"gsb-record ended with {code}"
+    [group] = evaluate_files(sorted(folder.glob("*.mcap"))).results
+    period, energy = group.laws
+    return period.measured, period.predicted, energy.measured
+
+
+def main() -> None:
+    """Print the table."""
+    print("| options | period [s] | energy gained | growth of ln(energy) over (k - 1) / (2 k) |")
+    print("| --- | ---: | ---: | ---: |")
+    for options in CASES:
+        with tempfile.TemporaryDirectory() as folder:
+            period, predicted, gained = measured(options, Path(folder))
+        named = dict(option.split("=") for option in options)
+        k = int(named.get("position_iterations", DEFAULT))
+        share = (k - 1) / (2 * k)
+        ratio = f"{math.log1p(gained) / share:.2f}" if share and "position_iterations" in named else "-"
+        print(f"| `{' '.join(options)}` | {period:.4f} | {100 * gained:.3g} % | {ratio} |", flush=True)
+    print(f"\nPredicted period: {predicted:.4f} s.")
+
+
+if __name__ == "__main__":
+    main()
