@@ -89,7 +89,7 @@ def test_files(folder: Path) -> None:
     assert completed("gsb-eval run.mcap --html ", folder) == {"more"}
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", [SHELLS[0], *(pytest.param(shell, marks=pytest.mark.slow) for shell in SHELLS[1:])])
 def test_every_shell(shell: str) -> None:
     """Print for each command a script that names it and its options."""
     for command in MODULES:

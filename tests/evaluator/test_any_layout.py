@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, note, settings
 from hypothesis import strategies as st
 
@@ -76,6 +77,7 @@ def _run(*command: Any, codes: tuple[int, ...]) -> Any:
     return done
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(_layouts())
 def test_all_commands_on_any_layout(layout: Layout) -> None:

@@ -123,6 +123,7 @@ def test_a_command_that_does_not_run(command: str, message: str) -> None:
         predicate_of(command)(_shipped("amd-r0"), _shipped("amd-r1"))
 
 
+@pytest.mark.slow
 def test_gsb_compare(tmp_path: Path) -> None:
     """Take the verdict of gsb-compare, in its own words."""
     sets = []
@@ -184,6 +185,7 @@ def test_environments_that_are_the_same(tmp_path: Path) -> None:
     assert "is of another bisection" in refused.stderr
 
 
+@pytest.mark.slow
 def test_a_command_finds_an_environment(tmp_path: Path) -> None:
     """Name the first environment that a command tells apart; skip one that cannot record."""
     judge = tmp_path / "judge.py"

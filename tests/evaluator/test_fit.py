@@ -160,6 +160,7 @@ def monkeypatch_module() -> Any:
         yield patched
 
 
+@pytest.mark.slow
 def test_known_friction(fitted: Path) -> None:
     """Find the friction that the tosses were made with, better on even and on odd tosses, and say so."""
     record = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
@@ -183,6 +184,7 @@ def test_known_friction(fitted: Path) -> None:
     assert len(list((fitted / "fit").iterdir())) == 4  # the reference, the start, the fitted options, the table
 
 
+@pytest.mark.slow
 def test_what_is_kept(fitted: Path, tmp_path: Path) -> None:
     """Keep recordings that say what was fitted, and print the command that makes the last again."""
     record = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
@@ -200,6 +202,7 @@ def test_what_is_kept(fitted: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_judged_by_odd_tosses(fitted: Path) -> None:
     """Evaluate the fitted options by odd tosses alone, and compare them with the start on these."""
     evaluation = evaluate_files(sorted((fitted / "fit").glob("*.mcap")), sample_time=441 / 148)

@@ -71,6 +71,7 @@ def build(scene: Scene, solver: str, **options: Any) -> tuple[Any, Description]:
     return engines.build("newton", scene, solver=solver, **options)
 
 
+@pytest.mark.slow
 @all_solvers
 def test_flight(solver: str) -> None:
     """Start as the scene says, compiled or not, and fly as Newton's laws say, quaternions wxyz."""
@@ -98,6 +99,7 @@ def test_flight(solver: str) -> None:
     simulator.close()
 
 
+@pytest.mark.slow
 @marked(FAST)
 def test_a_capsule(solver: str) -> None:
     """Give a capsule the inertia of a solid one, and let it come to rest on its side."""
@@ -112,6 +114,7 @@ def test_a_capsule(solver: str) -> None:
     simulator.close()
 
 
+@pytest.mark.slow
 @solvers
 def test_stepping_and_capturing_agree(solver: str) -> None:
     """Reach the same bits by step, by states, and in blocks of any size, longer than the ring too."""

@@ -264,6 +264,7 @@ def _record_jumps(gsb_record: Command, environment: dict[str, str], out: Path, j
     return recording
 
 
+@pytest.mark.slow
 def test_a_wall_clock_that_jumps(gsb_record: Command, jumping: dict[str, str], tmp_path: Path) -> None:
     """Record and evaluate the same while the wall clock is set back and forth by hours."""
     calm = _record_jumps(gsb_record, jumping, tmp_path / "calm", jumps=False)

@@ -193,6 +193,7 @@ def test_a_run_that_ends_before_it_begins() -> None:
         RunConfiguration.from_json(late)
 
 
+@pytest.mark.slow
 def test_states_of_a_recording(whole: Path, tmp_path: Path) -> None:
     """Begin with the positions and velocities of a recording's step, on the same engine and on another."""
     wanted = open_recording(whole)

@@ -343,6 +343,7 @@ def test_a_sweep_and_its_continuation(gsb_record: Command, tmp_path: Path) -> No
     assert all(Path(run["file"]).exists() for run in record["runs"])
 
 
+@pytest.mark.slow
 def test_plain_runs_are_always_made(gsb_record: Command, tmp_path: Path) -> None:
     """Make new files for --n-env whatever lies there, and let a sweep find them."""
     plain = ("--sim", "mujoco", "--scene", "free-fall", *_TINY, "--n-env", 4, "--runs", 1, "--out", tmp_path)
@@ -435,6 +436,7 @@ def test_processes_that_die_at_the_end(gsb_record: Command, limited: dict[str, s
     assert nothing.returncode == 3
 
 
+@pytest.mark.slow
 def test_an_interrupted_sweep_goes_on(gsb_record: Command, limited: dict[str, str], tmp_path: Path) -> None:
     """End at once on Ctrl-C with what there is, and make the interrupted run again on the next call."""
     process = subprocess.Popen(

@@ -22,6 +22,8 @@ from gpusimbench.schemas.treatment import Initial, Keep
 
 pytest.importorskip("mujoco_warp")
 
+pytestmark = pytest.mark.slow  # kernels are built
+
 
 def _built(scene: str, n_env: int, **options: int) -> tuple[Simulator, Description]:
     adapter = find_simulator("warp").load()
