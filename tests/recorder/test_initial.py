@@ -198,6 +198,6 @@ def test_what_is_kept() -> None:
 
 def test_an_engine_without(gsb_record: Command, tmp_path: Path) -> None:
     """Refuse an engine whose adapter cannot set states, before anything is begun."""
-    done = gsb_record("--sim", "isaaclab", "--initial", "random:0.1", "--out", tmp_path, code=2)
-    assert "'isaaclab' has no initial states per environment (--initial): the adapter does not offer it" in done.stderr
+    done = gsb_record("--sim", "madrona", "--initial", "random:0.1", "--out", tmp_path, code=2)
+    assert "'madrona' has no initial states per environment (--initial): the adapter does not offer it" in done.stderr
     assert not any(tmp_path.iterdir())
