@@ -40,9 +40,8 @@ _LEVELS = {
 _CONTACTS = partial(
     "what PhysX keeps to itself of contacts, such as impulses, friction and the order of their solution"
 )
-_ROUNDED = partial("the last bits of poses and speeds, which Isaac Lab converts when it takes them")
 _CLAIMS = {
-    "newton": StateClaims(_ROUNDED, _ROUNDED, COMPLETE, COMPLETE),
+    "newton": StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE),
     "ovphysx": StateClaims(_CONTACTS, _CONTACTS, _CONTACTS, _CONTACTS),
 }
 """By backend; of what runs within Isaac Sim nothing is known."""
