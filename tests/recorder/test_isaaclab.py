@@ -108,6 +108,19 @@ def test_states_that_are_set_belong_to_their_environments(backend: str) -> None:
             assert np.allclose(wanted, found[[2, 0]], atol=1e-6)
 
 
+@slow
+def test_another_simulation_goes_on_from_a_snapshot() -> None:
+    """Newton's solver begins where the snapshot has it, also if the state is restored before kernels are built."""
+    with built(backend="newton") as (simulator, _):
+        simulator.step(60)  # the ball is among the cubes
+        saved = simulator.snapshot()
+        assert saved.arrays["qacc_warmstart"].any()
+        wanted = simulator.states(5)
+    with built(backend="newton") as (simulator, _):
+        simulator.restore(saved)
+        assert same(wanted, simulator.states(5))
+
+
 @pytest.mark.parametrize("count", [1, 5, 6, 7, 8])
 def test_bodies_keep_their_own_speeds(count: int) -> None:
     """Any number of bodies moves as described, also those numbers for which Isaac Lab mixes them up."""

@@ -40,9 +40,8 @@ _LEVELS = {
 _CONTACTS = partial(
     "what PhysX keeps to itself of contacts, such as impulses, friction and the order of their solution"
 )
-_ROUNDED = partial("the last bits of poses and speeds, which Isaac Lab converts when it takes them")
 _CLAIMS = {
-    "newton": StateClaims(_ROUNDED, _ROUNDED, COMPLETE, COMPLETE),
+    "newton": StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE),
     "ovphysx": StateClaims(_CONTACTS, _CONTACTS, _CONTACTS, _CONTACTS),
 }
 """By backend; of what runs within Isaac Sim nothing is known."""
@@ -172,16 +171,14 @@ class IsaacLab(Simulator):
     def compile(self, phase: str) -> None:
         """See Simulator.compile: Newton builds its kernels in its first step, which is then taken back."""
         if self.options.backend == "newton" and not self._compiled:
-            before = [array.clone() for array in self._world.state()]
+            before = self._kept()
             try:
                 self._world.step()
             except (RuntimeError, ValueError, NotImplementedError) as error:
                 raise self._refused(error) from None
-            self._world.put(*before, None)
+            self._put(before, None, self._made)
             self._physics.rewind()
             self._physics.store()  # which forgets what that step has shown
-            if not self._made:
-                self._first.update(self._physics.kept())  # the first step begins with what that step has left
         self._compiled = True
         self._world.state()
         if phase == "capture" and self._ring is None:

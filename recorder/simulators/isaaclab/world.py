@@ -66,6 +66,9 @@ class World:
             collection.write_body_link_pose_to_sim_index(body_poses=pose.contiguous(), env_ids=ids)
             collection.write_body_com_velocity_to_sim_index(body_velocities=speed.contiguous(), env_ids=ids)
             collection.update(0.0)
+        # Newton clears its solver's starting point in environments that were written to, but not before a state is
+        # read: unread, it would clear what is put there next
+        self.state()
 
     def step(self) -> None:
         """One step, as a user's loop has it; nothing waits for the device."""
