@@ -69,7 +69,7 @@ def _about(entry: Entry, scenes: list[Scene]) -> Json:
     adapter, problem = _adapter(entry)
     abilities: frozenset[Ability] = adapter.offered(adapter.Options()) if adapter else frozenset()
     missing = {scene.name: titles(scene.needs() - abilities) for scene in scenes} if adapter else {}
-    refused = _refused(adapter, entry, scenes) if adapter else {}
+    refused = _refused(adapter, entry, scenes, abilities) if adapter else {}
     levels = adapter.determinism_levels if adapter and (installed or prepared) else {}
     return {
         "name": entry.name,
@@ -89,12 +89,11 @@ def _about(entry: Entry, scenes: list[Scene]) -> Json:
     }
 
 
-def _refused(adapter: type[Simulator], entry: Entry, scenes: list[Scene]) -> Json:
+def _refused(adapter: type[Simulator], entry: Entry, scenes: list[Scene], offered: frozenset[Ability]) -> Json:
     # by kind of device, scenes that the engine simulates elsewhere, with the abilities that it does not have there
     if "device" not in getattr(adapter.Options, "__dataclass_fields__", {}):
         return {}
     found: Json = {}
-    offered = adapter.offered(adapter.Options())
     for device in entry.devices:
         try:
             withheld = adapter.withheld(adapter.Options(device=device)).keys()

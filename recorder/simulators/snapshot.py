@@ -7,14 +7,26 @@ the claims.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Envs = NDArray[np.int64] | None
 """Indices of environments, each at most once; None for all of them."""
+
+
+def rows_of(envs: Envs) -> slice | NDArray[np.int64]:
+    """What picks these environments along an array's first axis."""
+    return slice(None) if envs is None else envs
+
+
+def picked(arrays: Mapping[str, NDArray[Any]], envs: Envs) -> dict[str, NDArray[Any]]:
+    """The rows of these environments of arrays whose first axis is the environment."""
+    return {name: array[rows_of(envs)] for name, array in arrays.items()}
 
 
 class Extent(Enum):

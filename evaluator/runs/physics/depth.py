@@ -17,7 +17,7 @@ from gpusimbench.evaluator.metrics.physics.solids import (  # fmt: skip
 from gpusimbench.evaluator.metrics.physics.vectors import square
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import Check, Facts, measured
-from gpusimbench.evaluator.runs.physics.setting import Setting, Slack
+from gpusimbench.evaluator.runs.physics.setting import Setting
 from gpusimbench.evaluator.runs.physics.states import States
 
 Array = npt.NDArray[np.float64]
@@ -62,15 +62,12 @@ class Depths:
         return {**self._at_rest(last), **self._ever(setting)}
 
     def _ever(self, setting: Setting) -> Facts:
-        fastest = setting.fastest
+        checks, fastest = (Check.DEPTH_EVER, Check.PAIR_EVER), setting.fastest
         if isinstance(fastest, Missing):
-            return dict.fromkeys((Check.DEPTH_EVER, Check.PAIR_EVER), fastest)
-        coarse = setting.slack(0.0, self._resolution, "rounding")
-        slack = setting.slack(fastest * setting.dt + setting.fall, 0.0, "sqrt(2 g H) dt + g dt^2")
-        for told in (coarse, slack):
-            if isinstance(told, Missing):
-                return dict.fromkeys((Check.DEPTH_EVER, Check.PAIR_EVER), told)
-        assert isinstance(slack, Slack)
+            return dict.fromkeys(checks, fastest)
+        if (coarse := setting.too_coarse(self._resolution)) is not None:
+            return dict.fromkeys(checks, coarse)
+        slack = setting.capped(fastest * setting.dt + setting.fall, "sqrt(2 g H) dt + g dt^2")
         of, note = slack.of, setting.sparse
         return {
             Check.DEPTH_EVER: measured(self._fixed, low=None, high=0.0, tolerance=slack.size, of=of, note=note),

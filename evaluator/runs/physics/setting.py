@@ -75,14 +75,23 @@ class Setting:
         method    what the step accounts for [m], by the formula `of`
         rounding  what the number type accounts for [m]
         """
-        if rounding > self.limit:
-            return Missing(
-                f"positions are rounded by up to {rounding:.2g} m, more than {SHARE:.0%} of the smallest body "
-                f"({self.limit:.2g} m)"
-            )
-        if method + rounding > self.limit:
+        coarse = self.too_coarse(rounding)
+        return self.capped(method + rounding, of) if coarse is None else coarse
+
+    def too_coarse(self, rounding: float) -> Missing | None:
+        """Why lengths that are rounded by so much [m] can show nothing; None where they can."""
+        if rounding <= self.limit:
+            return None
+        return Missing(
+            f"positions are rounded by up to {rounding:.2g} m, more than {SHARE:.0%} of the smallest body "
+            f"({self.limit:.2g} m)"
+        )
+
+    def capped(self, length: float, of: str) -> Slack:
+        """A tolerance [m] by the formula `of`, or `limit` where that is less."""
+        if length > self.limit:
             return Slack(self.limit, f"{SHARE:.0%} of the smallest body, less than {of}")
-        return Slack(method + rounding, of)
+        return Slack(length, of)
 
     def resolution(self, place: npt.NDArray[np.float64]) -> float:
         """What the number type may add to a distance between two of some places [m], shape [...], in env frames.

@@ -22,7 +22,7 @@ from gpusimbench.recorder.simulators.calibration.model import deviations
 from gpusimbench.recorder.simulators.calibration.options import BY_RUN, CalibrationOptions
 from gpusimbench.recorder.simulators.counters import CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, rows_of
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import body_field
 
@@ -126,8 +126,7 @@ class Calibration(Simulator):
 
     def set_state(self, states: States, envs: Envs = None) -> None:
         """See Simulator.set_state."""
-        rows = slice(None) if envs is None else envs
-        given = [array[rows].copy() for array in self._world.first]
+        given = [array[rows_of(envs)].copy() for array in self._world.first]
         left = iter(states)
         for group in self._groups:
             for array in given:
@@ -137,8 +136,9 @@ class Calibration(Simulator):
         self._counted = None
 
     def _put(self, arrays: Sequence[NDArray[Any]], envs: Envs, step: int) -> None:
-        rows = slice(None) if envs is None else envs
-        self._world.put([array[rows] for array in arrays], envs, self._world.done if envs is not None else step)
+        self._world.put(
+            [array[rows_of(envs)] for array in arrays], envs, self._world.done if envs is not None else step
+        )
         self._counted = None
 
     def states(self, n_step: int) -> States:

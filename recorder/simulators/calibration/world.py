@@ -14,7 +14,7 @@ from gpusimbench.recorder.simulators.calibration.chance import orders, places, s
 from gpusimbench.recorder.simulators.calibration.faults import Fault
 from gpusimbench.recorder.simulators.calibration.model import LONGEST_STEP, model_of
 from gpusimbench.recorder.simulators.calibration.options import CalibrationOptions
-from gpusimbench.recorder.simulators.snapshot import Envs
+from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 
 _RING_ROWS = 50
 _RING_BYTES = 256 << 20
@@ -116,7 +116,7 @@ class World:
         """Give environments the rows of such arrays, [env of envs, body, 3], and the world a number of steps done."""
         for target, rows in zip(self._state, arrays, strict=True):
             whole = target.to_numpy()
-            whole[slice(None) if envs is None else envs] = rows
+            whole[rows_of(envs)] = rows
             target.from_numpy(whole)
         self.done = done
 

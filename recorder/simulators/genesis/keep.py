@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.simulators.snapshot import Envs
+from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 
 _ERRORS = "errno"  # codes of what went wrong, which are no state: a recording tells each once
 
@@ -64,7 +64,7 @@ class Keep:
         for name, saved in arrays.items():
             axis, whole = self._axes[name], _on_host(written[name])
             if axis is not None:
-                rows = slice(None) if envs is None else envs
+                rows = rows_of(envs)
                 np.moveaxis(whole, axis, 0)[rows] = saved[rows]
             elif envs is None:
                 whole = saved[0]

@@ -13,7 +13,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
-from gpusimbench.recorder.simulators.snapshot import Envs
+from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ class Newton:
         """Give some environments, or all, what ``kept`` kept of them, [env of envs, ...]."""
         held = self._solver.mjw_data.qacc_warmstart
         values = held.numpy().copy()
-        values[slice(None) if envs is None else envs] = arrays["qacc_warmstart"]
+        values[rows_of(envs)] = arrays["qacc_warmstart"]
         held.assign(values)
 
     def in_force(self) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
-from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField, body_fields
@@ -252,15 +252,15 @@ class IsaacLab(Simulator):
 
     def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
         """See Simulator.restore."""
-        self._put({name: array[_rows(envs)] for name, array in snapshot.arrays.items()}, envs, snapshot.step)
+        self._put(picked(snapshot.arrays, envs), envs, snapshot.step)
 
     def reset(self, envs: Envs = None) -> None:
         """See Simulator.reset: the first state is written, as tasks of Isaac Lab do."""
-        self._put({name: array[_rows(envs)] for name, array in self._first.items()}, envs, 0)
+        self._put(picked(self._first, envs), envs, 0)
 
     def set_state(self, states: States, envs: Envs = None) -> None:
         """See Simulator.set_state."""
-        arrays = {name: array[_rows(envs)].copy() for name, array in self._first.items()}
+        arrays = {name: array.copy() for name, array in picked(self._first, envs).items()}
         for group, part in zip(self._groups, range(0, len(states), 4), strict=True):
             position, orientation, linear, angular = states[part : part + 4]
             arrays[_POSES][:, group] = np.concatenate([position, orientation[..., [1, 2, 3, 0]]], axis=-1)
@@ -300,10 +300,6 @@ class IsaacLab(Simulator):
             held = vars(self).pop(name, None)
             if name != "_ring" and held is not None:
                 held.close()
-
-
-def _rows(envs: Envs) -> Any:
-    return slice(None) if envs is None else envs
 
 
 def _joined(parts: list[Evidence | None]) -> Evidence | None:

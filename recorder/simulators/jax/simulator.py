@@ -19,7 +19,7 @@ from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
 from gpusimbench.recorder.simulators.jax.actions import device_draw
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW, JaxBlock, evidence_of
-from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, rows_of
 
 if TYPE_CHECKING:  # it imports MuJoCo
     from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
@@ -111,7 +111,7 @@ class JaxSimulator(Simulator):
 
     def _first_state(self, states: States | None, envs: Envs) -> Any:
         # of all environments; those of `envs` with these positions and velocities
-        compiled, rows = self._compiled, slice(None) if envs is None else envs
+        compiled, rows = self._compiled, rows_of(envs)
         qpos, qvel = (
             np.tile(values.astype(np.float32), (self.n_env, 1)) for values in (compiled.qpos0, compiled.qvel0)
         )

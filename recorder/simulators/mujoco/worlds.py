@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.mujoco.options import STATE_COMPONENTS
-from gpusimbench.recorder.simulators.snapshot import Envs
+from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.schemas.errors import UsageError
 
 
@@ -84,7 +84,7 @@ class BatchWorlds(Worlds):
 
     def write(self, name: str, values: NDArray[Any], envs: Envs = None) -> None:
         """See Worlds.write."""
-        self._bound[name][slice(None) if envs is None else envs] = values
+        self._bound[name][rows_of(envs)] = values
 
     def warnings(self) -> NDArray[np.int64]:
         """See Worlds.warnings."""

@@ -26,7 +26,7 @@ from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, NewtonOptions
-from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
@@ -304,8 +304,7 @@ class Newton(Simulator):
         return None if controls is None else np.array(controls.ctrl.numpy())
 
     def _put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs) -> None:
-        rows = slice(None) if envs is None else envs
-        self._worlds.put({name: array[rows] for name, array in arrays.items()}, envs)
+        self._worlds.put(picked(arrays, envs), envs)
         self._counted = None
 
     def set_state(self, states: States, envs: Envs = None) -> None:

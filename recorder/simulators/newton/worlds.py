@@ -14,7 +14,7 @@ from gpusimbench.recorder.simulators.newton.controls import ModelControls
 from gpusimbench.recorder.simulators.newton.model import World, build_model
 from gpusimbench.recorder.simulators.newton.options import JOINT_SPACE, NewtonOptions
 from gpusimbench.recorder.simulators.newton.solvers import Sizes, make_solver, register
-from gpusimbench.recorder.simulators.snapshot import Envs
+from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.recorder.simulators.warp import worlds
 
 _STATE = ("body_q", "body_qd", "joint_q", "joint_qd")
@@ -139,7 +139,7 @@ class Worlds:
             if name in targets:
                 target = targets[name]
                 whole = target.numpy()
-                whole.reshape(self.n_env, -1)[slice(None) if envs is None else envs] = rows
+                whole.reshape(self.n_env, -1)[rows_of(envs)] = rows
                 target.assign(whole)
         if data := self._mjw:
             inner = {name.removeprefix("mjw."): rows for name, rows in arrays.items() if name.startswith("mjw.")}
@@ -158,10 +158,10 @@ class Worlds:
             newton.eval_fk(self.model, state.joint_q, state.joint_qd, state)
         else:
             newton.eval_ik(self.model, state, state.joint_q, state.joint_qd)
-        rows = slice(None) if envs is None else envs
+        chosen = rows_of(envs)
         for name, whole in before.items():
             array = getattr(state, name)
-            whole[rows] = array.numpy().reshape(self.n_env, -1)[rows]  # the others keep their bits
+            whole[chosen] = array.numpy().reshape(self.n_env, -1)[chosen]  # the others keep their bits
             array.assign(whole.reshape(array.numpy().shape))
 
     @property

@@ -20,11 +20,12 @@ from gpusimbench.recorder.simulators.physx.stage import FAR
 from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Plan, collides
 from gpusimbench.schemas.imported import PARAMETERS, Imported, Values
 from gpusimbench.schemas.provenance import Deviation
+from gpusimbench.schemas.text import few
 
 _FRAMES = "PhysX does not tell the frames of joints; the kinematics compare them"
 _SHAPES = "PhysX does not tell shapes by name"
 _HELD = "so PhysX holds it"
-_SHOWN = 4  # names of a deviation
+_NAMED = 4  # in a deviation
 _HULL = 64  # corners of a convex hull, at most
 
 _OF_PHYSX = {
@@ -125,8 +126,8 @@ def _of_added(known: Held, plan: Plan, file: str) -> Iterator[Deviation]:
         several = [plan.model.body(b).name or f"body{b}" for b in np.flatnonzero(plan.model.body_jntnum > 1)]
         yield Deviation(
             "bodies.added", f"the bodies of {file}", f"{len(known.added)} more, of {sum(known.added.values()):.3g} kg",
-            f"a link of PhysX has one joint, so that between the joints of {_some(several)} are links with a share of "
-            f"{ADDED_SHARE:g} of the body's mass",
+            f"a link of PhysX has one joint, so that between the joints of {few(several, _NAMED)} are links with a "
+            f"share of {ADDED_SHARE:g} of the body's mass",
         )  # fmt: skip
 
 
@@ -168,28 +169,30 @@ def _of_contacts(plan: Plan, options: PhysxOptions, *, gpu: bool) -> Iterator[De
     if of_a_pair:
         texts = [[f"{pair} {values[k]:g}" for pair, values in of_a_pair.items()] for k in (0, 1)]
         yield Deviation(
-            "contact.pair_friction", _some(texts[0]), _some(texts[1]),
+            "contact.pair_friction", few(texts[0], _NAMED), few(texts[1], _NAMED),
             f"option 'friction_combine' ({options.friction_combine})",
         )  # fmt: skip
     if turning := [names[g] for g in shapes if model.geom_condim[g] > 3]:
         yield Deviation(
-            "contact.condim", f"torsional or rolling friction of {_some(turning)}", "none",
+            "contact.condim", f"torsional or rolling friction of {few(turning, _NAMED)}", "none",
             "PhysX's contacts have friction against sliding alone",
         )  # fmt: skip
     if apart_by := [names[g] for g in shapes if model.geom_margin[g]]:
-        yield Deviation("contact.margin", f"of {_some(apart_by)}", "0", "contacts of PhysX begin where shapes touch")
+        yield Deviation(
+            "contact.margin", f"of {few(apart_by, _NAMED)}", "0", "contacts of PhysX begin where shapes touch"
+        )
     if lost := apart(plan).lost:
         bodies = [model.body(b).name or f"body{b}" for b in range(model.nbody)]
-        listed = _some([f"{bodies[a]} and {bodies[b]}" for a, b in lost])
+        listed = few([f"{bodies[a]} and {bodies[b]}" for a, b in lost], _NAMED)
         yield Deviation("contact.pairs", f"{listed} collide", "do not collide", "PhysX keeps neighbouring links apart")
     kinds = mujoco.mjtGeom
     if meshes := [names[g] for g in shapes if model.geom_type[g] == kinds.mjGEOM_MESH]:
         yield Deviation(
-            "contact.meshes", f"convex hulls of {_some(meshes)}", f"hulls of at most {_HULL} corners",
+            "contact.meshes", f"convex hulls of {few(meshes, _NAMED)}", f"hulls of at most {_HULL} corners",
             "PhysX cooks meshes that are convex and small",
         )  # fmt: skip
     if gpu and (round_ := [names[g] for g in shapes if model.geom_type[g] == kinds.mjGEOM_CYLINDER]):
-        yield Deviation("contact.cylinders", _some(round_), "as PhysX has them on a GPU", "not examined there")
+        yield Deviation("contact.cylinders", few(round_, _NAMED), "as PhysX has them on a GPU", "not examined there")
 
 
 def _of_the_rest(model: Any) -> Iterator[Deviation]:
@@ -208,13 +211,13 @@ def _of_the_rest(model: Any) -> Iterator[Deviation]:
         yield Deviation("option.disableflags", f"without {', '.join(off)}", "with it", "PhysX is given no such flag")
     against = model.body_gravcomp
     if partly := [model.body(b).name or f"body{b}" for b in range(1, model.nbody) if against[b] not in (0, 1)]:
-        yield Deviation("body.gravcomp", _some(partly), "0", "gravity acts on a link of PhysX, or does not")
+        yield Deviation("body.gravcomp", few(partly, _NAMED), "0", "gravity acts on a link of PhysX, or does not")
     massless = [
         model.body(b).name or f"body{b}"
         for b in range(1, model.nbody) if model.body_weldid[b] and not model.body_mass[b]
     ]  # fmt: skip
     if massless:
-        yield Deviation("bodies.massless", _some(massless), "nearly so", "a link of PhysX has a mass")
+        yield Deviation("bodies.massless", few(massless, _NAMED), "nearly so", "a link of PhysX has a mass")
 
 
 def imported_of(plan: Plan, known: Held, *, dt: float) -> Imported:
@@ -262,8 +265,3 @@ def imported_of(plan: Plan, known: Held, *, dt: float) -> Imported:
         "actuators": "not read; the recorder makes forces and targets of controls",
     }
     return Imported(names, values, unread)
-
-
-def _some(texts: list[str]) -> str:
-    more = f" and {len(texts) - _SHOWN} more" if len(texts) > _SHOWN else ""
-    return ", ".join(texts[:_SHOWN]) + more

@@ -26,7 +26,7 @@ from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.physx import grid
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import OF_THE_GPU, PhysxOptions, apis, broad_phase
-from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, partial
+from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.imported import Imported
@@ -249,15 +249,15 @@ class Physx(Simulator):
 
     def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
         """See Simulator.restore."""
-        self._put({name: array[_rows(envs)] for name, array in snapshot.arrays.items()}, envs, snapshot.step)
+        self._put(picked(snapshot.arrays, envs), envs, snapshot.step)
 
     def reset(self, envs: Envs = None) -> None:
         """See Simulator.reset: the engine has no operation for it, so the first state is written."""
-        self._put({name: array[_rows(envs)] for name, array in self._first.items()}, envs, 0)
+        self._put(picked(self._first, envs), envs, 0)
 
     def set_state(self, states: States, envs: Envs = None) -> None:
         """See Simulator.set_state."""
-        self._put(self._source.merged(states, {name: a[_rows(envs)] for name, a in self._first.items()}), envs, 0)
+        self._put(self._source.merged(states, picked(self._first, envs)), envs, 0)
 
     def _put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs, done: int) -> None:
         from ovphysx import TaskError
@@ -287,10 +287,6 @@ class Physx(Simulator):
         gc.collect()  # the engine does not end while an array of it is alive
         if session is not None:
             session.close()
-
-
-def _rows(envs: Envs) -> Any:
-    return slice(None) if envs is None else envs
 
 
 def _first_state(*, gpu: bool, tensors: bool) -> str:

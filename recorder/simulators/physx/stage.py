@@ -7,12 +7,11 @@ construction, and what it has no place for is told (recorder.simulators.physx.ma
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.base import Box, Capsule, Material, Plane, Quaternion, Shape, Sphere, Vector
@@ -86,20 +85,15 @@ class _Writer:
 
     def _is_shared(self, geom: int) -> bool:
         plane = self._model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE
-        if plane and self._spacing and abs(self._data_of(geom)[1][8]) < 1 - _LEVEL:
+        if plane and self._spacing and abs(self._data.geom_xmat[geom, 8]) < 1 - _LEVEL:
             name = self._model.geom(geom).name or f"geom{geom}"
             raise Refused(f"environments on a grid share plane '{name}', which is not level: spacing=0 on a GPU")
         return not self._spacing or plane
 
-    def _data_of(self, geom: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        mujoco.mj_kinematics(self._model, self._data)
-        return self._data.geom_xpos[geom], self._data.geom_xmat[geom]
-
     def _fixed(self, geom: int, name: str) -> Prim:
-        position, matrix = self._data_of(geom)
         turn = np.zeros(4)
-        mujoco.mju_mat2Quat(turn, matrix)
-        prim = Prim("Xform", name, [], pose_lines(vector(position), quaternion(turn)))
+        mujoco.mju_mat2Quat(turn, self._data.geom_xmat[geom])
+        prim = Prim("Xform", name, [], pose_lines(vector(self._data.geom_xpos[geom]), quaternion(turn)))
         prim.add(self._collider(geom))
         return prim
 
@@ -130,18 +124,13 @@ class _Writer:
             own["bool physxRigidBody:disableGravity"] = True
         prim.apply({"PhysxRigidBodyAPI": own}, "PhysxRigidBodyAPI")
         if link.body >= 0:
-            self._filter(prim, self._apart.bodies.get(link.body, ()))
+            _filter(prim, [self._paths[other] for other in self._apart.bodies.get(link.body, ())])
             for geom in range(model.ngeom):
                 if model.geom_bodyid[geom] == link.body and collides(model, geom):
                     place = prim.add(Prim("Xform", _place(geom)))
                     place.properties = pose_lines(vector(model.geom_pos[geom]), quaternion(model.geom_quat[geom]))
                     place.add(self._collider(geom))
         return prim
-
-    def _filter(self, prim: Prim, others: Iterable[int]) -> None:
-        if paths := [f"<{self._paths[other]}>" for other in others]:
-            prim.apis.append("PhysicsFilteredPairsAPI")
-            prim.properties.append(f"rel physics:filteredPairs = [{', '.join(paths)}]")
 
     def _collider(self, geom: int) -> Prim:
         model = self._model
@@ -158,10 +147,7 @@ class _Writer:
             ]
         else:
             prim = collider(_shape(kind, sizes), "shape", material, self._apis)
-        if others := self._apart.geoms.get(geom, ()):
-            prim.apis.append("PhysicsFilteredPairsAPI")
-            listed = ", ".join(f"<{self._geom_path(other)}>" for other in others)
-            prim.properties.append(f"rel physics:filteredPairs = [{listed}]")
+        _filter(prim, [self._geom_path(other) for other in self._apart.geoms.get(geom, ())])
         return prim
 
     def _geom_path(self, geom: int) -> str:
@@ -270,6 +256,13 @@ def mass_of(model: Any, link: Link) -> tuple[float, Vector, Vector, Quaternion]:
         mass = ADDED_SHARE * float(model.body_subtreemass[model.body_weldid[body]])
     moments = np.where(moments > 0, moments, ADDED_SHARE * mass)
     return mass, vector(moments), vector(model.body_ipos[body]), quaternion(model.body_iquat[body])
+
+
+def _filter(prim: Prim, others: Sequence[str]) -> None:
+    # what is at these paths, and the prim, do not touch each other
+    if others:
+        prim.apis.append("PhysicsFilteredPairsAPI")
+        prim.properties.append(f"rel physics:filteredPairs = [{', '.join(f'<{path}>' for path in others)}]")
 
 
 def _place(geom: int) -> str:

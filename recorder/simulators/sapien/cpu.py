@@ -13,7 +13,7 @@ from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.counters import AWAKE_BODIES, CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.sapien.worlds import fields_of
-from gpusimbench.recorder.simulators.snapshot import Envs
+from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 # of a body in PhysxCpuSystem.pack(): quaternion wxyz, position, velocities, 13 float32 in all
@@ -139,14 +139,14 @@ class CpuWorlds:
 
     def place(self, states: States, envs: Envs) -> None:
         """See Simulator.set_state."""
-        packed = self._first[slice(None) if envs is None else envs].copy()
+        packed = self._first[rows_of(envs)].copy()
         n_env, first = len(packed), len(self._bodies[0]) * _BODY
         left = iter(states)
         bodies = packed[:, :first].reshape(n_env, -1, _BODY)
         every = np.arange(n_env)[:, None]
         for group in self._groups:
             for columns in _COLUMNS.values():
-                bodies[every, group[slice(None) if envs is None else envs], columns] = next(left)
+                bodies[every, group[rows_of(envs)], columns] = next(left)
         packed[:, :first] = bodies.reshape(n_env, -1)
         for quantity in range(2 if self._dof else 0):
             start = first + _BODY + quantity * self._dof
@@ -155,7 +155,7 @@ class CpuWorlds:
 
     def begin(self, envs: Envs) -> None:
         """See Simulator.reset."""
-        self.put({"packed": self._first[slice(None) if envs is None else envs]}, envs)
+        self.put({"packed": self._first[rows_of(envs)]}, envs)
 
     def _chosen(self, items: list[Any], envs: Envs) -> list[Any]:
         return items if envs is None else [items[env] for env in envs]

@@ -17,7 +17,7 @@ from gpusimbench.recorder.simulators.sapien.deviations import deviations
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 from gpusimbench.recorder.simulators.sapien.released import library, modification, sha256
 from gpusimbench.recorder.simulators.sapien.worlds import Worlds
-from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, absent, partial
+from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, absent, partial, picked
 from gpusimbench.schemas.provenance import MODIFIED
 
 LEVELS = {
@@ -133,8 +133,7 @@ class SapienStepper(Simulator):
 
     def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
         """See Simulator.restore."""
-        rows = slice(None) if envs is None else envs
-        self._on_cpu.put({name: array[rows] for name, array in snapshot.arrays.items()}, envs)
+        self._on_cpu.put(picked(snapshot.arrays, envs), envs)
         if envs is None:
             self._done = snapshot.step
 

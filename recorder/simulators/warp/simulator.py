@@ -21,7 +21,7 @@ from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.flight import Flight, Watch
-from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
 from gpusimbench.recorder.simulators.warp.actions import DeviceActions
@@ -298,8 +298,7 @@ class MujocoWarp(Simulator):
 
     def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
         """See Simulator.restore."""
-        rows = slice(None) if envs is None else envs
-        worlds.assign(self._data, {name: array[rows] for name, array in snapshot.arrays.items()}, envs)
+        worlds.assign(self._data, picked(snapshot.arrays, envs), envs)
         if envs is None and self._drawn is not None:
             self._drawn.step.fill_(snapshot.step)
         self._counted = None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.mujoco.options import STATE_COMPONENTS
-from gpusimbench.recorder.simulators.snapshot import Envs
+from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.schemas.errors import GsbError
 
 _OF_SLEEP = ("dof_length",)  # weights of velocities when bodies fall asleep, which no scene lets them
@@ -27,7 +27,7 @@ def assign(data: Any, arrays: Mapping[str, NDArray[Any]], envs: Envs) -> None:
         target = getattr(data, name)
         if target.size:
             whole = target.numpy()
-            whole[slice(None) if envs is None else envs] = rows
+            whole[rows_of(envs)] = rows
             target.assign(whole)
 
 
@@ -37,7 +37,7 @@ def reset(model: Any, data: Any, envs: Envs) -> None:
     import warp as wp
 
     chosen = np.zeros(data.nworld, dtype=bool)
-    chosen[slice(None) if envs is None else envs] = True
+    chosen[rows_of(envs)] = True
     bits = data.overflow.numpy().copy()
     mjw.reset_data(model, data, wp.array(chosen, dtype=bool))
     data.overflow.assign(bits)
