@@ -1,0 +1,77 @@
+"""Redraws the table of docs/how-to/evaluate-a-policy.md: one policy, evaluated by two rules among more environments.
+
+usage: python docs/make_episodes.py
+
+Records the policy "sweep" of examples/search, which succeeds in 60 % of the episodes by construction, and takes 64
+episodes of each recording: the first to finish, or as many of every environment.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from gpusimbench import open_recording
+from gpusimbench.evaluator.episodes.outcome import Outcome, outcome
+from gpusimbench.evaluator.episodes.side import Choice, choose, read_side
+from gpusimbench.evaluator.episodes.success import At
+from gpusimbench.evaluator.statistics.rates import wilson
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "how-to" / "evaluate-a-policy.md"
+BEGIN, END = "<!-- episodes: docs/make_episodes.py -->", "<!-- end of episodes -->"
+EPISODES = 64
+N_ENVS = (1, 4, 16, 64)
+SEEDS = 60
+
+sys.path.insert(0, str(ROOT / "examples" / "search"))
+
+
+def evaluated(n_env: int, seed: int) -> Outcome:
+    """A recording of the policy, evaluated."""
+    import search
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "a.mcap")
+        search.record("sweep", path, n_env, EPISODES // n_env, seed)
+        episodes = choose(read_side([open_recording(path)]), EPISODES // n_env, "success", At.LAST)
+        return outcome(episodes, Choice.GIVEN, "success", At.LAST)
+
+
+def row(n_env: int) -> str:
+    """Rates by both rules, mean over the seeds, and in how many seeds the 95 % interval holds the true rate."""
+    import search
+
+    truth = search.TRIES / search.PLACES
+    early, ours = [], []
+    for seed in range(SEEDS):
+        success = evaluated(n_env, 1000 * seed).quantities[0]
+        first = success.finish_order.mean
+        early.append((first, wilson(round(first * EPISODES), EPISODES)))
+        assert isinstance(success.ci95, tuple)
+        ours.append((success.mean, success.ci95))
+    cells = [str(n_env), str(EPISODES // n_env)]
+    for found in (early, ours):
+        holds = sum(low <= truth <= high for _, (low, high) in found)
+        cells += [f"{100 * np.mean([rate for rate, _ in found]):.1f} %", f"{holds} of {SEEDS}"]
+    return f"| {' | '.join(cells)} |"
+
+
+def table() -> str:
+    """The table as Markdown."""
+    titles = ("environments", "episodes of each", "first 64 to finish", "interval holds 60 %", "same number of each",
+              "interval holds 60 %")  # fmt: skip
+    return "\n".join([f"| {' | '.join(titles)} |", "| --- " * len(titles) + "|", *map(row, N_ENVS)])
+
+
+def main() -> None:
+    """Write the table into the page."""
+    head, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    PAGE.write_text(f"{head}{BEGIN}\n{table()}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
