@@ -1,9 +1,11 @@
-"""Redraws the table of docs/how-to/evaluate-a-policy.md: one policy, evaluated by two rules among more environments.
+"""Redraws the tables of docs/how-to/evaluate-a-policy.md: one policy, evaluated by two rules among more environments,
+and how often intervals hold the true rate.
 
 usage: python docs/make_episodes.py
 
 Records the policy "sweep" of examples/search, which succeeds in 60 % of the episodes by construction, and takes 64
-episodes of each recording: the first to finish, or as many of every environment.
+episodes of each recording: the first to finish, or as many of every environment. Then draws flags of environments whose
+own rates differ (beta distributed), so that two episodes of an environment are correlated.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.episodes.outcome import Outcome, outcome
 from gpusimbench.evaluator.episodes.side import Choice, choose, read_side
 from gpusimbench.evaluator.episodes.success import At
-from gpusimbench.evaluator.statistics.rates import wilson
+from gpusimbench.evaluator.statistics.rates import rate_interval, wilson
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "how-to" / "evaluate-a-policy.md"
@@ -26,6 +28,11 @@ BEGIN, END = "<!-- episodes: docs/make_episodes.py -->", "<!-- end of episodes -
 EPISODES = 64
 N_ENVS = (1, 4, 16, 64)
 SEEDS = 60
+BEGIN_INTERVALS, END_INTERVALS = "<!-- intervals: docs/make_episodes.py -->", "<!-- end of intervals -->"
+DRAWS = 1000
+SHAPES = ((64, 1), (8, 4), (16, 4), (64, 4))
+CORRELATIONS = (0.0, 0.2, 0.6)
+RATE = 0.6
 
 sys.path.insert(0, str(ROOT / "examples" / "search"))
 
@@ -67,10 +74,39 @@ def table() -> str:
     return "\n".join([f"| {' | '.join(titles)} |", "| --- " * len(titles) + "|", *map(row, N_ENVS)])
 
 
+def held(n_env: int, per_env: int, correlation: float) -> tuple[float, float]:
+    """Shares of draws in which our interval, and Wilson's alone, hold the true rate."""
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(DRAWS):
+        spread = 1 / correlation - 1 if correlation else 0.0
+        rates = rng.beta(RATE * spread, (1 - RATE) * spread, (n_env, 1)) if correlation else RATE
+        flags = rng.random((n_env, per_env)) < rates
+        intervals = rate_interval(flags), wilson(int(flags.sum()), flags.size)
+        found.append([low <= RATE <= high for low, high in intervals])
+    ours, alone = np.mean(found, axis=0)
+    return float(ours), float(alone)
+
+
+def intervals_table() -> str:
+    """How often intervals hold the rate, as Markdown."""
+    titles = ["environments x episodes", *(f"correlation {one:g}" for one in CORRELATIONS)]
+    rows = []
+    for n_env, per_env in SHAPES:
+        cells = [held(n_env, per_env, correlation) for correlation in CORRELATIONS]
+        rows.append(
+            [f"{n_env} x {per_env}", *(f"{ours:.0%} ({alone:.0%})".replace("%", " %") for ours, alone in cells)]
+        )
+    return "\n".join(f"| {' | '.join(row)} |" for row in [titles, ["---"] * len(titles), *rows])
+
+
 def main() -> None:
-    """Write the table into the page."""
-    head, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-    PAGE.write_text(f"{head}{BEGIN}\n{table()}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    """Write the tables into the page."""
+    text = PAGE.read_text(encoding="utf-8")
+    for begin, end, drawn in ((BEGIN, END, table), (BEGIN_INTERVALS, END_INTERVALS, intervals_table)):
+        head, rest = text.split(begin)
+        text = f"{head}{begin}\n{drawn()}\n{end}{rest.split(end)[1]}"
+    PAGE.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.statistics.rates import mcnemar, wilson
 from tests.conftest import call, made_once
-from tests.scripts import ROOT, example
+from tests.scripts import ROOT, example, script
 
 gymnasium = pytest.importorskip("gymnasium")
 search = example("search")
@@ -322,3 +322,18 @@ def test_what_depends_on_the_environment(tmp_path: Path) -> None:
     assert "success depends on the environment (p = 0.001)" in " ".join(warnings(found))
     ordinary = outcome_of(recording_of("sweep", 64, 4), per_env=4).quantities[0]
     assert not isinstance(ordinary.env_p, Missing) and ordinary.env_p > 0.01
+
+
+def test_the_page_shows_how_often_intervals_hold() -> None:
+    """Draw again what the page shows of single episodes, which is quick."""
+    making = script("make_episodes")
+    ours, alone = making.held(64, 1, making.CORRELATIONS[0])
+    assert ours == alone  # there is nothing to resample
+    assert f"| 64 x 1 | {ours:.0%} ({alone:.0%}) | ".replace("%", " %") in making.PAGE.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_page_shows_what_both_rules_give() -> None:
+    """Record again the recordings of 64 environments, and get the rates that the page shows."""
+    making = script("make_episodes")
+    assert making.row(64) in making.PAGE.read_text(encoding="utf-8")
