@@ -70,6 +70,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.episodes.comparison import compare
     from gpusimbench.evaluator.episodes.document import dump_json, episodes_document
     from gpusimbench.evaluator.episodes.outcome import outcome
+    from gpusimbench.evaluator.episodes.profile import profiles
     from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.read.addresses import expand
@@ -89,7 +90,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         other = against[0] if against else None
         compared = compare(*episodes) if other else None
     if arguments.json:
-        write_json(arguments.json, dump_json(policy, other, compared))
+        write_json(arguments.json, dump_json(policy, other, compared, profiles(episodes)))
     if arguments.json != "-":
         print_document(episodes_document(policy, other, compared), sys.stdout)
     return int(ExitCode.OK)

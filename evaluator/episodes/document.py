@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from gpusimbench.evaluator.episodes.comparison import Comparison, Difference
 from gpusimbench.evaluator.episodes.outcome import SUCCESS, Outcome, Quantity
+from gpusimbench.evaluator.episodes.profile import Profiles
 from gpusimbench.evaluator.episodes.side import Choice
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.missing import Missing, known
@@ -33,7 +34,7 @@ def episodes_document(policy: Outcome, against: Outcome | None, comparison: Comp
     return Document("", tuple(blocks))
 
 
-def dump_json(policy: Outcome, against: Outcome | None, comparison: Comparison | None) -> str:
+def dump_json(policy: Outcome, against: Outcome | None, comparison: Comparison | None, profiles: Profiles) -> str:
     """The document that ``gsb-episodes --json`` writes."""
     return dump(
         {
@@ -41,6 +42,7 @@ def dump_json(policy: Outcome, against: Outcome | None, comparison: Comparison |
             "policy": _record(policy),
             "against": _record(against) if against else None,
             "comparison": values_of(comparison) if comparison else None,
+            "profiles": values_of(profiles),
         }
     )
 
@@ -79,7 +81,10 @@ def _policy(of: Outcome, title: str) -> Iterator[Block]:
     yield facts(
         (title, Cell(", ".join(of.files), code=True)),
         ("task", of.scene),
-        ("episodes", f"{of.episodes}: the first {of.per_env} of each of {plural(of.n_env, 'environment')}{lost}"),
+        (
+            "episodes",
+            f"{of.episodes}: the first {_several(of.per_env)}of each of {plural(of.n_env, 'environment')}{lost}",
+        ),
         ("ended", f"{of.terminated} terminated, {of.episodes - of.terminated} truncated; {of.mean_length:.4g} steps"),
         *([("success", f"{of.success} at {_AT[of.success_at.value]}")] if of.success else []),
     )
@@ -88,6 +93,10 @@ def _policy(of: Outcome, title: str) -> Iterator[Block]:
     yield Text(f"95 %: {method}. {_VISIBLE.format('a comparison with as many episodes of another policy')}")
     if told := list(warnings(of)):
         yield items(*told, tone=Tone.WARNING)
+
+
+def _several(number: int) -> str:
+    return f"{number} " if number > 1 else ""
 
 
 _AT = {"last": "the last step", "any": "any step"}

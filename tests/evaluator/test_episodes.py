@@ -15,6 +15,7 @@ from gpusimbench import NothingComparable, open_recording, wrap
 from gpusimbench.evaluator.episodes.comparison import compare
 from gpusimbench.evaluator.episodes.document import warnings
 from gpusimbench.evaluator.episodes.outcome import FinishOrder, Outcome, outcome
+from gpusimbench.evaluator.episodes.profile import profiles
 from gpusimbench.evaluator.episodes.side import Choice, Episodes, choose, read_side
 from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.missing import Missing
@@ -199,6 +200,23 @@ def flagged(path: Path, *infos: dict[str, Any]) -> Path:
         envs.step(np.zeros(2, int))
     envs.close()
     return path
+
+
+def test_performance_profiles() -> None:
+    """Give the share of episodes above each threshold, the same thresholds for both policies, within its band."""
+    sides = [episodes_of(recording_of(policy, 64, 4), per_env=4) for policy in ("near", "sweep")]
+    found = profiles(sides)
+    pooled = np.concatenate([side.returns.ravel() for side in sides])
+    assert (found.thresholds[0], found.thresholds[-1]) == (pooled.min(), pooled.max())
+    for side, profile in zip(sides, found.policies, strict=True):
+        assert profile.share == tuple(float((side.returns > at).mean()) for at in found.thresholds)
+        assert profile.low is not None and profile.high is not None
+        assert all(low <= at <= high for low, at, high in zip(profile.low, profile.share, profile.high, strict=True))
+        assert profile.share[-1] == 0 and profile.low[20] < profile.high[20]
+    few = profiles([episodes_of(recording_of("sweep", 1, 64), per_env=64)]).policies[0]
+    assert few.low is None and few.high is None and len(few.share) == len(found.thresholds)
+    document = json.loads(call("gsb-episodes", recording_of("near", 64, 4), "--json", "-", code=0).stdout)
+    assert len(document["profiles"]["policies"]) == 1
 
 
 def test_where_success_counts(tmp_path: Path) -> None:
