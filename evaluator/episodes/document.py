@@ -18,6 +18,7 @@ SCHEMA_VERSION = 1
 _QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "visible")
 _DIFFERENCES = ("", "difference", "95 %", "p", "p, Holm", "visible")
 _NOTABLE = 0.01
+_MOST_DISTINCT = 0.95
 _VISIBLE = "visible: the smallest difference that {} would show with a probability of 80 % at the 5 % level."
 
 
@@ -65,10 +66,10 @@ def warnings(of: Outcome) -> Iterator[str]:
             f"{plural(of.per_env, 'episode')} per environment is what this recording happens to have, so that short "
             "episodes may be slightly too frequent: choose --per-env before you record"
         )
-    if of.distinct_starts < of.episodes:
+    if of.distinct_starts < _MOST_DISTINCT * of.episodes:
         yield (
-            f"{of.distinct_starts} distinct first observations among {of.episodes} episodes: intervals take episodes "
-            "that began alike to be independent, which a deterministic policy does not make of them"
+            f"{of.distinct_starts} distinct first observations among {of.episodes} episodes: if task and policy are "
+            "deterministic, episodes that began alike are copies, and the intervals are too narrow"
         )
 
 
@@ -128,8 +129,8 @@ def _compared(found: Comparison) -> Iterator[Block]:
     yield table("differences", "", _DIFFERENCES, [_compared_row(one) for one in found.differences])
     tests = "; ".join(f"{one.name}: {one.test}" for one in found.differences)
     discordant = [
-        f" Of the pairs in which one succeeded, {one.discordant.only_first} are the first policy's and "
-        f"{one.discordant.only_second} the other's."
+        f" The first policy alone succeeded in {plural(one.discordant.only_first, 'pair')}, the other alone in "
+        f"{one.discordant.only_second}."
         for one in found.differences
         if not isinstance(one.discordant, Missing)
     ]
