@@ -1,4 +1,4 @@
-"""Scripts that lie beside the documents, as modules."""
+"""Scripts that lie beside the documents, and programs of the examples, as modules."""
 
 from __future__ import annotations
 
@@ -8,13 +8,24 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-DOCUMENTS = Path(__file__).resolve().parents[1] / "docs"
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = ROOT / "docs"
 
 
 @cache
 def script(name: str) -> ModuleType:
     """docs/NAME.py, which is in no package."""
-    spec = importlib.util.spec_from_file_location(name, DOCUMENTS / f"{name}.py")
+    return _module(name, DOCUMENTS / f"{name}.py")
+
+
+@cache
+def example(name: str) -> ModuleType:
+    """examples/NAME/NAME.py."""
+    return _module(name, ROOT / "examples" / name / f"{name}.py")
+
+
+def _module(name: str, path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

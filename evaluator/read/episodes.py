@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import ENV
 
 _FLAGS = ("terminated", "truncated")
-NEEDED = ("reward", *_FLAGS, "stepped", "episode", "episode_step")
-"""Fields, beside observations, without which a recording has no episodes."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +66,6 @@ class EpisodeCounts:
     mean_return: float | None
 
 
-def has_episodes(recording: Recording) -> bool:
-    """Whether a recording has what episodes are made of."""
-    return {f"{ENV}/{name}" for name in NEEDED} <= {field.name for field in recording.fields}
-
-
 def episodes(recording: Recording) -> Iterator[Episode]:
     """The episodes of every environment in order of environments; those without a step are left out.
 
@@ -89,28 +83,17 @@ def count_episodes(recording: Recording) -> EpisodeCounts | None:
     """
     if not has_episodes(recording):
         return None
-    arrays = [recording.state(ENV, name) for name in NEEDED]
-    rows = min(len(array) for array in arrays)  # of a file that was cut short, some have more
-    columns = {name: array[:rows, :, 0, 0] for name, array in zip(NEEDED, arrays, strict=True)}
-    stepped = columns["stepped"][1:] != 0
-    terminated, truncated = ((columns[flag][1:] != 0) & stepped for flag in _FLAGS)
-    number = columns["episode"][:-1].astype(np.float64)
-    if not ((number >= 0) & (number <= len(number)) & (number == np.floor(number))).all():
-        raise DamagedRecording(f"{recording.path}: episodes are not numbered from 0 on, at most one a step")
-    env = np.broadcast_to(np.arange(number.shape[1]), number.shape)
-    key = (env * (len(number) + 1) + number.astype(np.int64))[stepped]
-    of_episode, at = np.unique(key, return_inverse=True)
-    lengths = np.bincount(at, minlength=len(of_episode))
-    returns = np.bincount(at, weights=columns["reward"][1:][stepped].astype(np.float64), minlength=len(of_episode))
-    ended = np.unique(at[(terminated | truncated)[stepped]])
+    table = episode_table(recording)
+    ended = table.ended
+    n_ended = int(np.count_nonzero(ended))
     return EpisodeCounts(
-        steps=int(np.count_nonzero(stepped)),
-        terminated=int(np.count_nonzero(terminated)),
-        truncated=int(np.count_nonzero(truncated)),
-        ended=len(ended),
-        cut=len(of_episode) - len(ended),
-        mean_length=float(lengths[ended].mean()) if len(ended) else None,
-        mean_return=float(returns[ended].mean()) if len(ended) else None,
+        steps=int(table.length.sum()),
+        terminated=int(np.count_nonzero(table.terminated)),
+        truncated=int(np.count_nonzero(table.truncated)),
+        ended=n_ended,
+        cut=len(ended) - n_ended,
+        mean_length=float(table.length[ended].mean()) if n_ended else None,
+        mean_return=float(table.returns[ended].mean()) if n_ended else None,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ DRAWS = 2000
 
 PERMUTATIONS = 9999
 """Of signs, drawn at random."""
+
+_AT_ONCE = 1_000_000  # cases that are drawn, all draws together
 
 FEWEST = 8
 """Cases for an interval."""
@@ -55,6 +58,33 @@ def mean_interval(values: npt.ArrayLike, *, seed: int = 0) -> tuple[float, float
     return float(low), float(high)
 
 
+def interval_over_cases(
+    statistic: Callable[[npt.NDArray[np.int64]], npt.NDArray[np.float64]], cases: int, *, seed: int = 0
+) -> tuple[float, float] | None:
+    """95 % interval of any statistic of cases, by resampling cases (percentile bootstrap, Efron 1979).
+
+    statistic  takes the numbers of drawn cases, shape [draw, case], with repetitions, and returns numbers [draw]
+
+    None for fewer than FEWEST cases.
+    """
+    if cases < FEWEST:
+        return None
+    rng = np.random.default_rng(seed)
+    at_once = max(1, _AT_ONCE // cases)
+    sizes = [min(at_once, DRAWS - first) for first in range(0, DRAWS, at_once)]
+    found = np.concatenate([statistic(rng.integers(cases, size=(size, cases))) for size in sizes])
+    low, high = np.quantile(found, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def least_shown(error: float, power: float) -> float:
+    """The smallest difference that a two-sided test at the 5 % level shows with a probability `power`.
+
+    For normal means: (z_0.975 + z_power) times the standard error of the difference, in its unit.
+    """
+    return float(stats.norm.ppf(0.975) + stats.norm.ppf(power)) * error
+
+
 def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
     """Compare values of the same cases, shape [case] each.
 
@@ -82,7 +112,10 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
         rng=np.random.default_rng(seed),
     )
     error = float(difference.std(ddof=1)) / len(difference) ** 0.5
-    visible = float(stats.norm.ppf(0.975) + stats.norm.ppf(0.95)) * error
     return Paired(
-        float(difference.mean()), mean_interval(difference, seed=seed), float(tested.pvalue), len(difference), visible
+        float(difference.mean()),
+        mean_interval(difference, seed=seed),
+        float(tested.pvalue),
+        len(difference),
+        least_shown(error, 0.95),
     )

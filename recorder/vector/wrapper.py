@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.fields import field_of, recorded_dtype
+from gpusimbench.recorder.vector.infos import GIVEN, array_name, nothing_told, told
 from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode, mode_of, with_final
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
@@ -21,6 +22,7 @@ from gpusimbench.schemas.trees import leaves, on_host
 _ROWS = 50  # that are handed to the writer at a time
 _FLAGS = ("terminated", "truncated")
 _NO_STEP = "0 stands for it where no step was made: at step 0, and where a call of step began the next episode"
+_NOT_GIVEN = "0 stands for it where its flag says that it was not given"
 
 Row = dict[str, NDArray[Any]]
 
@@ -32,9 +34,9 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
     replace its observations.
     """
 
-    def __init__(self, envs: Any, path: str | Path, *, steps: int, dt: float) -> None:
+    def __init__(self, envs: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...] = ()) -> None:
         super().__init__(envs)
-        self._path, self._steps, self._dt = path, steps, dt
+        self._path, self._steps, self._dt, self._infos = path, steps, dt, infos
         self._mode = mode_of(envs)
         self._ledger = Ledger(self.num_envs, self._mode)
         self._start: tuple[Row, Any] | None = None  # observations of the first reset, and its seed
@@ -106,14 +108,19 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         given = {name: np.zeros_like(array) for name, array in actions.items()}
         of_step = {"reward": np.zeros(n_env), **{name: np.zeros(n_env, dtype=np.bool_) for name in _FLAGS}}
         facts = {"stepped": np.zeros(n_env, dtype=np.bool_), **self._counts()}
-        row = {**given, **seen, **of_step, **_final(seen), **facts}
-        known = {*_FLAGS, *facts}
+        of_info = nothing_told(self._infos, n_env)
+        row = {**given, **seen, **of_step, **_final(seen), **facts, **of_info}
+        known = {*_FLAGS, *facts, *(name for name in of_info if name.endswith(GIVEN))}
+        noted = {
+            **dict.fromkeys([*given, *of_step], _NO_STEP),
+            **dict.fromkeys(map(array_name, self._infos), _NOT_GIVEN),
+        }
         fields = [
             field_of(
                 name,
                 array.dtype,
                 array.shape[1:],
-                *([_NO_STEP] if name in given or name in of_step else []),
+                *([noted[name]] if name in noted else []),
                 unit=DIMENSIONLESS if name in known else UNKNOWN,
             )
             for name, array in row.items()
@@ -144,7 +151,8 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             for array in given.values():
                 array[began] = 0
         of_step = {"reward": on_host(reward, "reward", copy=False), **flags, "stepped": ~began}
-        self._put(self._filled, {**given, **seen, **of_step, **last, **self._counts()})
+        of_info = told(self._infos, info, self._mode, done, ~began)
+        self._put(self._filled, {**given, **seen, **of_step, **last, **self._counts(), **of_info})
         self._filled += 1
         self._made += 1
         if self._made == self._steps:

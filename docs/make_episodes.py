@@ -1,0 +1,113 @@
+"""Redraws the tables of docs/how-to/evaluate-a-policy.md: one policy, evaluated by two rules among more environments,
+and how often intervals hold the true rate.
+
+usage: python docs/make_episodes.py
+
+Records the policy "sweep" of examples/search, which succeeds in 60 % of the episodes by construction, and takes 64
+episodes of each recording: the first to finish, or as many of every environment. Then draws flags of environments whose
+own rates differ (beta distributed), so that two episodes of an environment are correlated.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from gpusimbench import open_recording
+from gpusimbench.evaluator.episodes.outcome import Outcome, outcome
+from gpusimbench.evaluator.episodes.side import Choice, choose, read_side
+from gpusimbench.evaluator.episodes.success import At
+from gpusimbench.evaluator.statistics.rates import rate_interval, wilson
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "how-to" / "evaluate-a-policy.md"
+BEGIN, END = "<!-- episodes: docs/make_episodes.py -->", "<!-- end of episodes -->"
+EPISODES = 64
+N_ENVS = (1, 4, 16, 64)
+SEEDS = 60
+BEGIN_INTERVALS, END_INTERVALS = "<!-- intervals: docs/make_episodes.py -->", "<!-- end of intervals -->"
+DRAWS = 1000
+SHAPES = ((64, 1), (8, 4), (16, 4), (64, 4))
+CORRELATIONS = (0.0, 0.2, 0.6)
+RATE = 0.6
+
+sys.path.insert(0, str(ROOT / "examples" / "search"))
+
+
+def evaluated(n_env: int, seed: int) -> Outcome:
+    """A recording of the policy, evaluated."""
+    import search
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "a.mcap")
+        search.record("sweep", path, n_env, EPISODES // n_env, seed)
+        episodes = choose(read_side([open_recording(path)]), EPISODES // n_env, "success", At.LAST)
+        return outcome(episodes, Choice.GIVEN, "success", At.LAST)
+
+
+def row(n_env: int) -> str:
+    """Rates by both rules, mean over the seeds, and in how many seeds the 95 % interval holds the true rate."""
+    import search
+
+    truth = search.TRIES / search.PLACES
+    early, ours = [], []
+    for seed in range(SEEDS):
+        success = evaluated(n_env, 1000 * seed).quantities[0]
+        first = success.finish_order.mean
+        early.append((first, wilson(round(first * EPISODES), EPISODES)))
+        assert isinstance(success.ci95, tuple)
+        ours.append((success.mean, success.ci95))
+    cells = [str(n_env), str(EPISODES // n_env)]
+    for found in (early, ours):
+        holds = sum(low <= truth <= high for _, (low, high) in found)
+        cells += [f"{100 * np.mean([rate for rate, _ in found]):.1f} %", f"{holds} of {SEEDS}"]
+    return f"| {' | '.join(cells)} |"
+
+
+def table() -> str:
+    """The table as Markdown."""
+    titles = ("environments", "episodes of each", "first 64 to finish", "interval holds 60 %", "same number of each",
+              "interval holds 60 %")  # fmt: skip
+    return "\n".join([f"| {' | '.join(titles)} |", "| --- " * len(titles) + "|", *map(row, N_ENVS)])
+
+
+def held(n_env: int, per_env: int, correlation: float) -> tuple[float, float]:
+    """Shares of draws in which our interval, and Wilson's alone, hold the true rate."""
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(DRAWS):
+        spread = 1 / correlation - 1 if correlation else 0.0
+        rates = rng.beta(RATE * spread, (1 - RATE) * spread, (n_env, 1)) if correlation else RATE
+        flags = rng.random((n_env, per_env)) < rates
+        intervals = rate_interval(flags), wilson(int(flags.sum()), flags.size)
+        found.append([low <= RATE <= high for low, high in intervals])
+    ours, alone = np.mean(found, axis=0)
+    return float(ours), float(alone)
+
+
+def intervals_table() -> str:
+    """How often intervals hold the rate, as Markdown."""
+    titles = ["environments x episodes", *(f"correlation {one:g}" for one in CORRELATIONS)]
+    rows = []
+    for n_env, per_env in SHAPES:
+        cells = [held(n_env, per_env, correlation) for correlation in CORRELATIONS]
+        rows.append(
+            [f"{n_env} x {per_env}", *(f"{ours:.0%} ({alone:.0%})".replace("%", " %") for ours, alone in cells)]
+        )
+    return "\n".join(f"| {' | '.join(row)} |" for row in [titles, ["---"] * len(titles), *rows])
+
+
+def main() -> None:
+    """Write the tables into the page."""
+    text = PAGE.read_text(encoding="utf-8")
+    for begin, end, drawn in ((BEGIN, END, table), (BEGIN_INTERVALS, END_INTERVALS, intervals_table)):
+        head, rest = text.split(begin)
+        text = f"{head}{begin}\n{drawn()}\n{end}{rest.split(end)[1]}"
+    PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

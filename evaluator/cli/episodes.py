@@ -1,0 +1,105 @@
+"""gsb-episodes: success and return of a policy, over as many episodes of every environment."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, verified, write_json
+from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.progress import stage
+
+_EPILOG = """\
+An evaluation that stops at the first n finished episodes of many environments counts short episodes too often, the more
+environments the worse. gsb-episodes takes the first K episodes of every environment, however long they are, and shows
+what the first finished episodes would have given. Recordings are those of gpusimbench.wrap.
+
+Choose K before you record, and record K times the time limit of an episode (K steps more if the autoreset mode is
+NextStep): then every environment has K episodes.
+
+exit codes:
+  0  the episodes were evaluated, whichever policy is better
+  1  the results cannot be written
+  2  wrong usage
+  3  a recording is damaged
+  5  nothing was evaluated: an environment has fewer than K episodes, there are none, or no flag was recorded
+
+examples:
+  gsb-episodes policy.mcap --success success --per-env 4
+  gsb-episodes policy.mcap --success success --per-env 1 --against baseline.mcap
+  gsb-episodes seed0.mcap seed1.mcap --json - | jq .policy.quantities
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-episodes",
+        "Evaluate a policy from recorded episodes: success and return with intervals, from as many episodes of every "
+        "environment, alone or against another policy.",
+        _EPILOG,
+    )
+    p.add_argument(
+        "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap) of one policy, folders, or addresses"
+    )
+    p.add_argument(
+        "--against", nargs="+", type=place, default=[], metavar="FILE",
+        help="recordings of another policy; pairs of the same environment and number are formed if they began alike",
+    )  # fmt: skip
+    p.add_argument(
+        "--per-env", type=int, metavar="K",
+        help="episodes of each environment, its first ones (default: the most that every environment has)",
+    )  # fmt: skip
+    p.add_argument(
+        "--success", metavar="NAME",
+        help='info that says whether an episode succeeded, such as success, recorded by wrap(..., infos=("success",)); '
+        "or terminated, or truncated",
+    )  # fmt: skip
+    p.add_argument(
+        "--success-at", choices=("last", "any"), default="last",
+        help="whether it counts at the last step of an episode, or at any (default: %(default)s)",
+    )  # fmt: skip
+    add_json(p, "result")
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Evaluate and print; returns the exit code."""
+    from gpusimbench.evaluator.episodes.comparison import compare
+    from gpusimbench.evaluator.episodes.document import dump_json, episodes_document
+    from gpusimbench.evaluator.episodes.outcome import outcome
+    from gpusimbench.evaluator.episodes.profile import profiles
+    from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side
+    from gpusimbench.evaluator.episodes.success import At
+    from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.render.terminal import print_document
+
+    check_target(arguments.json)
+    if arguments.per_env is not None and arguments.per_env < 1:
+        raise UsageError(f"--per-env is at least 1, not {arguments.per_env}")
+    given = [verified(list(expand(files))) for files in (arguments.files, arguments.against) if files]
+    check_distinct([recording for side in given for recording in side])
+    with stage("evaluating episodes"):
+        sides = [read_side(recordings) for recordings in given]
+        per_env = arguments.per_env or min(side.at_most for side in sides)
+        chosen, at = Choice.GIVEN if arguments.per_env else Choice.LARGEST, At(arguments.success_at)
+        episodes = [choose(side, per_env, arguments.success, at) for side in sides]
+        policy, *against = [outcome(one, chosen, arguments.success, at) for one in episodes]
+        other = against[0] if against else None
+        compared = compare(*episodes) if other else None
+    if arguments.json:
+        write_json(arguments.json, dump_json(policy, other, compared, profiles(episodes)))
+    if arguments.json != "-":
+        print_document(episodes_document(policy, other, compared), sys.stdout)
+    return int(ExitCode.OK)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-episodes."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

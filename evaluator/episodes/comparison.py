@@ -1,0 +1,162 @@
+"""Two policies on the same task: differences of success and return, episode by episode where both began alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, interval_of, shown, standard_error
+from gpusimbench.evaluator.episodes.side import Episodes
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.statistics.cases import DRAWS, FEWEST, PERMUTATIONS, paired
+from gpusimbench.evaluator.statistics.families import holm
+from gpusimbench.evaluator.statistics.rates import mcnemar
+
+LEVEL = 0.05
+
+_SEED = 0
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Which episodes of both policies belong together: the same number of the same environment.
+
+    alike   pairs whose first observations are equal in every bit
+    pairs   that there would be; 0 where the recordings have other numbers of environments
+    """
+
+    alike: int
+    pairs: int
+
+    @property
+    def formed(self) -> bool:
+        """Whether episodes are compared pair by pair: all of them began alike."""
+        return self.pairs > 0 and self.alike == self.pairs
+
+
+@dataclass(frozen=True)
+class Discordant:
+    """Pairs of which one episode succeeded: the first policy's alone, the second's alone."""
+
+    only_first: int
+    only_second: int
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Of a quantity: the first policy's mean minus the second's.
+
+    ci95         by resampling environments
+    p_value      two-sided, that the policies are alike
+    adjusted_p   by Holm, over the quantities
+    test         that gave it
+    discordant   of success, where pairs are formed
+    least_shown  smallest difference that this comparison would show with a probability of 80 % at the 5 % level
+    """
+
+    name: str
+    unit: str
+    difference: float
+    ci95: tuple[float, float] | Missing
+    p_value: float
+    adjusted_p: float
+    test: str
+    discordant: Discordant | Missing
+    least_shown: float | Missing
+
+    @property
+    def differs(self) -> bool:
+        """Whether chance does not explain it at the 5 % level."""
+        return self.adjusted_p <= LEVEL
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Of two policies: how episodes were paired, and the differences of all quantities."""
+
+    pairs: Pairs
+    differences: tuple[Difference, ...]
+
+
+def compare(first: Episodes, second: Episodes) -> Comparison:
+    """Compare two policies by as many episodes per environment."""
+    pairs = _pairs(first, second)
+    differences = []
+    if first.success is not None and second.success is not None:
+        differences.append(_of_success(first.success, second.success, together=pairs.formed))
+    differences.append(_difference(RETURN, "unknown", first.returns, second.returns, together=pairs.formed))
+    adjusted = holm([one.p_value for one in differences])
+    return Comparison(
+        pairs, tuple(replace(one, adjusted_p=p) for one, p in zip(differences, adjusted, strict=True))
+    )  # fmt: skip
+
+
+def _pairs(first: Episodes, second: Episodes) -> Pairs:
+    numbers = [[one.configuration.n_env for one in side.side.recordings] for side in (first, second)]
+    if numbers[0] != numbers[1] or first.starts.dtype != second.starts.dtype:
+        return Pairs(0, 0)
+    return Pairs(int((first.starts == second.starts).sum()), first.starts.size)
+
+
+def _of_success(first: NDArray[np.bool_], second: NDArray[np.bool_], *, together: bool) -> Difference:
+    found = _difference(SUCCESS, "1", first.astype(np.float64), second.astype(np.float64), together=together)
+    if not together:
+        return found
+    discordant = Discordant(int((first & ~second).sum()), int((~first & second).sum()))
+    if first.shape[1] > 1:  # pairs of one environment are not independent
+        return replace(found, discordant=discordant)
+    p = mcnemar(discordant.only_first, discordant.only_second)
+    return replace(found, p_value=p, test="McNemar, exact", discordant=discordant)
+
+
+def _difference(
+    name: str, unit: str, first: NDArray[np.float64], second: NDArray[np.float64], *, together: bool
+) -> Difference:
+    discordant = Missing("episodes are not paired" if name == SUCCESS else "of success alone")
+    one, other = first.mean(axis=1), second.mean(axis=1)
+    if together:
+        found, error = paired(one, other, seed=_SEED), standard_error(first - second)
+        return Difference(
+            name, unit, found.mean, interval_of(found.ci95, error), found.p_value, found.p_value,
+            "signs of differences exchanged by environment", discordant, shown(error),
+        )  # fmt: skip
+    p = _exchanged(one, other)
+    error = _combined(standard_error(first), standard_error(second))
+    return Difference(
+        name, unit, float(one.mean() - other.mean()), interval_of(_unpaired_interval(one, other), error), p, p,
+        "environments exchanged between policies", discordant, shown(error),
+    )  # fmt: skip
+
+
+def _combined(first: float | Missing, second: float | Missing) -> float | Missing:
+    if isinstance(first, Missing) or isinstance(second, Missing):
+        return first if isinstance(first, Missing) else second
+    return float(np.hypot(first, second))
+
+
+def _exchanged(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """p-value of the difference of two means, by a permutation test with environments as units."""
+    if np.ptp(np.concatenate([one, other])) == 0:
+        return 1.0
+    tested = stats.permutation_test(
+        (one, other),
+        lambda a, b, axis: a.mean(axis=axis) - b.mean(axis=axis),
+        permutation_type="independent",
+        n_resamples=PERMUTATIONS,
+        vectorized=True,
+        batch=max(1, 10_000_000 // (len(one) + len(other))),
+        rng=np.random.default_rng(_SEED),
+    )
+    return float(tested.pvalue)
+
+
+def _unpaired_interval(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float] | None:
+    if min(len(one), len(other)) < FEWEST:
+        return None
+    rng = np.random.default_rng(_SEED)
+    drawn = [rng.choice(one, len(one)).mean() - rng.choice(other, len(other)).mean() for _ in range(DRAWS)]
+    low, high = np.quantile(drawn, (0.025, 0.975))
+    return float(low), float(high)

@@ -1,0 +1,175 @@
+"""What gsb-episodes says: the verdict, success and return with intervals, the comparison; and the same as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gpusimbench.evaluator.episodes.comparison import Comparison, Difference
+from gpusimbench.evaluator.episodes.outcome import SUCCESS, Outcome, Quantity
+from gpusimbench.evaluator.episodes.profile import Profiles
+from gpusimbench.evaluator.episodes.side import Choice
+from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
+from gpusimbench.evaluator.render.numbers import plural
+
+SCHEMA_VERSION = 1
+
+_QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "visible")
+_DIFFERENCES = ("", "difference", "95 %", "p", "p, Holm", "visible")
+_NOTABLE = 0.01
+_MOST_DISTINCT = 0.95
+_VISIBLE = "visible: the smallest difference that {} would show with a probability of 80 % at the 5 % level."
+
+
+def episodes_document(policy: Outcome, against: Outcome | None, comparison: Comparison | None) -> Document:
+    """Of one policy, or of two and their comparison."""
+    blocks: list[Block] = []
+    if comparison is not None:
+        blocks.append(Text(_verdict(comparison)))
+    for one in (policy, against):
+        if one is not None:
+            blocks += _policy(one, "recordings" if against is None else "first" if one is policy else "against")
+    if comparison is not None:
+        blocks += _compared(comparison)
+    return Document("", tuple(blocks))
+
+
+def dump_json(policy: Outcome, against: Outcome | None, comparison: Comparison | None, profiles: Profiles) -> str:
+    """The document that ``gsb-episodes --json`` writes."""
+    return dump(
+        {
+            "schema_version": SCHEMA_VERSION,
+            "policy": _record(policy),
+            "against": _record(against) if against else None,
+            "comparison": values_of(comparison) if comparison else None,
+            "profiles": values_of(profiles),
+        }
+    )
+
+
+def warnings(of: Outcome) -> Iterator[str]:
+    """What a reader of the numbers must know, a sentence each."""
+    for quantity in of.quantities:
+        early = quantity.finish_order
+        if early.biased:
+            yield (
+                f"the mean {quantity.name} of the {of.episodes} episodes that finished first is "
+                f"{_number(early.mean, quantity)}, off by {_number(early.difference, quantity, sign=True)} "
+                f"{_range(early.ci95, quantity)}: short episodes are too frequent among them"
+            )
+        for what, p in (("environment", quantity.env_p), ("number of the episode in it", quantity.number_p)):
+            if not isinstance(p, Missing) and p < _NOTABLE:
+                yield f"{quantity.name} depends on the {what} (p = {p:.2g}): the mean is over those that were recorded"
+    if of.chosen is Choice.LARGEST:
+        yield (
+            f"{plural(of.per_env, 'episode')} per environment is what this recording happens to have, so that short "
+            "episodes may be slightly too frequent: choose --per-env before you record"
+        )
+    if of.distinct_starts < _MOST_DISTINCT * of.episodes:
+        yield (
+            f"{of.distinct_starts} distinct first observations among {of.episodes} episodes: if task and policy are "
+            "deterministic, episodes that began alike are copies, and the intervals are too narrow"
+        )
+
+
+def _record(of: Outcome) -> dict[str, object]:
+    return {**values_of(of), "warnings": list(warnings(of))}
+
+
+def _policy(of: Outcome, title: str) -> Iterator[Block]:
+    lost = f"; {of.left_out} finished episodes are left out" if of.left_out else ""
+    yield facts(
+        (title, Cell(", ".join(of.files), code=True)),
+        ("task", of.scene),
+        (
+            "episodes",
+            f"{of.episodes}: the first {_several(of.per_env)}of each of {plural(of.n_env, 'environment')}{lost}",
+        ),
+        ("ended", f"{of.terminated} terminated, {of.episodes - of.terminated} truncated; {of.mean_length:.4g} steps"),
+        *([("success", f"{of.success} at {_AT[of.success_at.value]}")] if of.success else []),
+    )
+    yield table("episodes", "", _QUANTITIES, [_row(one) for one in of.quantities])
+    method = "; ".join(f"{one.name}: {one.method}" for one in of.quantities)
+    yield Text(f"95 %: {method}. {_VISIBLE.format('a comparison with as many episodes of another policy')}")
+    if told := list(warnings(of)):
+        yield items(*told, tone=Tone.WARNING)
+
+
+def _several(number: int) -> str:
+    return f"{number} " if number > 1 else ""
+
+
+_AT = {"last": "the last step", "any": "any step"}
+
+
+def _row(of: Quantity) -> list[Cell | str]:
+    early = of.finish_order
+    return [
+        of.name,
+        _number(of.mean, of),
+        _range(of.ci95, of),
+        _number(of.iqm, of),
+        _range(of.iqm_ci95, of),
+        Cell(_number(early.mean, of), early.mean, tone=Tone.WARNING if early.biased else Tone.PLAIN),
+        _number(of.least_shown, of),
+    ]
+
+
+def _compared(found: Comparison) -> Iterator[Block]:
+    pairs = found.pairs
+    if pairs.formed:
+        how = f"paired: the {pairs.pairs} pairs of the same environment and number began alike, bit for bit"
+    elif pairs.pairs:
+        how = f"not paired: {pairs.alike} of {pairs.pairs} pairs of the same environment and number began alike"
+        how += "; with --per-env 1 and one seed of reset they usually all do" if pairs.alike else ""
+    else:
+        how = "not paired: the policies have other numbers of environments, or other observations"
+    yield facts(("comparison", how))
+    yield table("differences", "", _DIFFERENCES, [_compared_row(one) for one in found.differences])
+    tests = "; ".join(f"{one.name}: {one.test}" for one in found.differences)
+    discordant = [
+        f" The first policy alone succeeded in {plural(one.discordant.only_first, 'pair')}, the other alone in "
+        f"{one.discordant.only_second}."
+        for one in found.differences
+        if not isinstance(one.discordant, Missing)
+    ]
+    yield Text(f"first minus against. Tests: {tests}.{''.join(discordant)} {_VISIBLE.format('this comparison')}")
+
+
+def _compared_row(of: Difference) -> list[Cell | str]:
+    return [
+        of.name,
+        _number(of.difference, of, sign=True),
+        _range(of.ci95, of),
+        f"{of.p_value:.2g}",
+        Cell(f"{of.adjusted_p:.2g}", of.adjusted_p, tone=Tone.GOOD if of.differs else Tone.PLAIN),
+        _number(of.least_shown, of),
+    ]
+
+
+def _verdict(found: Comparison) -> str:
+    said = []
+    for one in found.differences:
+        more = "higher" if one.difference > 0 else "lower"
+        if one.differs:
+            said.append(f"{one.name} of the first policy is {more} by {_number(abs(one.difference), one)}")
+        else:
+            least = known(one.least_shown)
+            seen = f" (differences from {_number(least, one)} on would mostly be seen)" if least else ""
+            said.append(f"{one.name}: no difference can be told{seen}")
+    return "; ".join(said)
+
+
+def _number(value: float | Missing, of: Quantity | Difference, *, sign: bool = False) -> str:
+    if isinstance(value, Missing):
+        return NONE
+    if of.name == SUCCESS:
+        return f"{100 * value:{'+' if sign else ''}.1f} %"
+    return f"{value:{'+' if sign else ''}.4g}"
+
+
+def _range(interval: tuple[float, float] | Missing, of: Quantity | Difference) -> str:
+    if isinstance(interval, Missing):
+        return NONE
+    return f"[{', '.join(_number(end, of) for end in interval)}]"

@@ -1,0 +1,243 @@
+"""What episodes of one policy come to: success and return with intervals, and what stopping early would have said."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.episodes.side import Choice, Episodes
+from gpusimbench.evaluator.episodes.success import At, successes
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.episode_table import EpisodeTable
+from gpusimbench.evaluator.statistics.cases import FEWEST, interval_over_cases, least_shown, mean_interval
+from gpusimbench.evaluator.statistics.rates import interquartile_mean, rate_interval, rows_differ
+
+POWER = 0.8
+"""Of the smallest differences that are printed."""
+
+SUCCESS, RETURN = "success", "return"
+_FEW = Missing(f"fewer than {FEWEST} environments")
+_ALIKE = Missing("all environments have the same mean")
+
+
+@dataclass(frozen=True)
+class FinishOrder:
+    """The mean over the episodes that finished first, as many of each recording as count.
+
+    difference  of it from the mean over as many episodes of every environment
+    ci95        of the difference, by resampling environments
+    biased      whether the interval leaves out 0
+    """
+
+    mean: float
+    difference: float
+    ci95: tuple[float, float] | Missing
+    biased: bool
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of episodes, "success" (a share) or "return".
+
+    mean         over episodes, all environments having as many
+    ci95         of it
+    method       of the interval
+    iqm          mean without the lowest and the highest quarter of the episodes
+    iqm_ci95     of it, by resampling environments
+    least_shown  smallest difference from another policy's mean that so many episodes of each would show with a
+                 probability of 80 % at the 5 % level, if its spread is the same and no pairs are formed
+    finish_order what stopping at the first finished episodes would have said
+    env_p        p-value that environments are alike; a small one says that episodes depend on the environment
+    number_p     p-value that the first, second, ... episodes of environments are alike
+    """
+
+    name: str
+    unit: str
+    mean: float
+    ci95: tuple[float, float] | Missing
+    method: str
+    iqm: float | Missing
+    iqm_ci95: tuple[float, float] | Missing
+    least_shown: float | Missing
+    finish_order: FinishOrder
+    env_p: float | Missing
+    number_p: float | Missing
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one policy.
+
+    files          recordings
+    scene          task
+    n_env          environments of all recordings
+    per_env        episodes of each that count: its first ones
+    chosen         where per_env comes from
+    success        name of the flag; None where none was named
+    success_at     where it counts
+    episodes       n_env * per_env
+    left_out       episodes that finished and do not count
+    terminated     of those that count; the others were truncated
+    mean_length    of those that count [step]
+    distinct_starts  different first observations among them
+    quantities     success, if a flag was named, and return
+    """
+
+    files: tuple[str, ...]
+    scene: str
+    n_env: int
+    per_env: int
+    chosen: Choice
+    success: str | None
+    success_at: At
+    episodes: int
+    left_out: int
+    terminated: int
+    mean_length: float
+    distinct_starts: int
+    quantities: tuple[Quantity, ...]
+
+
+def outcome(episodes: Episodes, chosen: Choice, success: str | None, at: At) -> Outcome:
+    """Of the first episodes of every environment; see Outcome."""
+    side = episodes.side
+    first = tuple(
+        _first_finished(table, int(rows.size)) for table, rows in zip(side.tables, episodes.rows, strict=True)
+    )
+    quantities = [_return(episodes, first)]
+    if episodes.success is not None and success is not None:
+        quantities.insert(0, _success(episodes, episodes.success, first, success, at))
+    return Outcome(
+        files=tuple(str(recording.path) for recording in side.recordings),
+        scene=side.recordings[0].configuration.scene,
+        n_env=episodes.n_env,
+        per_env=episodes.per_env,
+        chosen=chosen,
+        success=success,
+        success_at=at,
+        episodes=episodes.returns.size,
+        left_out=int(sum(table.ended.sum() for table in side.tables)) - episodes.returns.size,
+        terminated=int(episodes.terminated.sum()),
+        mean_length=float(episodes.lengths.mean()),
+        distinct_starts=len(np.unique(episodes.starts)),
+        quantities=tuple(quantities),
+    )
+
+
+def interval_of(interval: tuple[float, float] | None, error: float | Missing) -> tuple[float, float] | Missing:
+    """An interval by resampling, or why there is none: that of equal values has no width, whatever comes next."""
+    return _ALIKE if error == 0 else interval or _FEW
+
+
+def shown(error: float | Missing) -> float | Missing:
+    """The smallest difference that is shown with a probability POWER, from its standard error; see least_shown."""
+    if isinstance(error, Missing):
+        return error
+    return least_shown(error, POWER) if error else _ALIKE
+
+
+def standard_error(values: NDArray[np.float64]) -> float | Missing:
+    """Of the mean of values [env, episode] whose environments are independent."""
+    by_env = values.mean(axis=1)
+    if len(by_env) < 2:
+        return Missing("there is one environment")
+    return float(by_env.std(ddof=1) / np.sqrt(len(by_env)))
+
+
+def _success(
+    episodes: Episodes, flags: NDArray[np.bool_], first: tuple[NDArray[np.int64], ...], name: str, at: At
+) -> Quantity:
+    side = episodes.side
+    of_first = [
+        successes(one, table, rows, name, at).astype(np.float64)
+        for one, table, rows in zip(side.recordings, side.tables, first, strict=True)
+    ]
+    values = flags.astype(np.float64)
+    several = episodes.per_env > 1
+    widened = ", or resampled environments where they differ more" if several and episodes.n_env >= FEWEST else ""
+    return Quantity(
+        name=SUCCESS,
+        unit="1",
+        mean=float(values.mean()),
+        ci95=rate_interval(flags),
+        method=f"Wilson{widened}",
+        iqm=Missing("a flag has none of use"),
+        iqm_ci95=Missing("a flag has none of use"),
+        least_shown=_least_of_two(values),
+        finish_order=_finish_order(episodes, values, first, of_first),
+        **_alike(values),
+    )
+
+
+def _return(episodes: Episodes, first: tuple[NDArray[np.int64], ...]) -> Quantity:
+    values, error = episodes.returns, standard_error(episodes.returns)
+
+    def iqm_of(drawn: NDArray[np.int64]) -> NDArray[np.float64]:
+        return interquartile_mean(values[drawn].reshape(len(drawn), -1))
+
+    of_first = [table.returns[rows] for table, rows in zip(episodes.side.tables, first, strict=True)]
+    return Quantity(
+        name=RETURN,
+        unit="unknown",
+        mean=float(values.mean()),
+        ci95=interval_of(mean_interval(values.mean(axis=1)), error),
+        method="resampled environments",
+        iqm=float(interquartile_mean(values.ravel())),
+        iqm_ci95=interval_of(interval_over_cases(iqm_of, len(values)), error),
+        least_shown=_least_of_two(values),
+        finish_order=_finish_order(episodes, values, first, of_first),
+        **_alike(values),
+    )
+
+
+def _alike(values: NDArray[np.float64]) -> dict[str, float | Missing]:
+    if values.shape[1] < 2:
+        alone = Missing("there is one episode of each environment")
+        return {"env_p": alone, "number_p": alone}
+    return {"env_p": rows_differ(values), "number_p": rows_differ(values.T)}
+
+
+def _least_of_two(values: NDArray[np.float64]) -> float | Missing:
+    error = standard_error(values)
+    return shown(error if isinstance(error, Missing) else 2**0.5 * error)
+
+
+def _first_finished(table: EpisodeTable, number: int) -> NDArray[np.int64]:
+    """Rows of the table of the episodes that finished first; those of one step in the order of environments."""
+    ended = np.flatnonzero(table.ended)
+    order = np.lexsort((table.env[ended], table.last_row[ended]))
+    found: NDArray[np.int64] = ended[order[:number]]
+    return found
+
+
+def _finish_order(
+    episodes: Episodes,
+    values: NDArray[np.float64],
+    first: tuple[NDArray[np.int64], ...],
+    of_first: list[NDArray[np.float64]],
+) -> FinishOrder:
+    # of each environment: how many of its episodes are among the first, and the sum of their values
+    side, n_env = episodes.side, episodes.n_env
+    envs = np.concatenate(
+        [table.env[rows] + side.envs_of(i).start for i, table, rows in zip(count(), side.tables, first, strict=False)]
+    )
+    number = np.bincount(envs, minlength=n_env)
+    total = np.bincount(envs, weights=np.concatenate(of_first), minlength=n_env)
+    by_env = values.mean(axis=1)
+
+    def difference(drawn: NDArray[np.int64]) -> NDArray[np.float64]:
+        counted = number[drawn].sum(axis=1)
+        early = total[drawn].sum(axis=1) / np.maximum(counted, 1)
+        return np.where(counted > 0, early - by_env[drawn].mean(axis=1), 0.0)  # of none that finished, nothing is known
+
+    ci95 = interval_over_cases(difference, n_env) or _FEW
+    mean = float(total.sum() / number.sum())
+    return FinishOrder(
+        mean=mean,
+        difference=mean - float(by_env.mean()),
+        ci95=ci95,
+        biased=not isinstance(ci95, Missing) and not ci95[0] <= 0 <= ci95[1],
+    )
