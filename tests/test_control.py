@@ -79,7 +79,12 @@ def evaluated(folder: Path, seconds: float) -> Json:
 
 @pytest.mark.parametrize(
     ("regime", "type_", "envs", "runs"),
-    [("identical", 2, 1, 1), ("offset", 1, 6, 1), ("order", 3, 6, 2), ("run-order", 4, 1, 2)],
+    [
+        ("identical", 2, 1, 1),
+        pytest.param("offset", 1, 6, 1, marks=pytest.mark.slow),
+        ("order", 3, 6, 2),
+        pytest.param("run-order", 4, 1, 2, marks=pytest.mark.slow),
+    ],
 )
 def test_rounding_that_contacts_amplify(tmp_path: Path, regime: str, type_: int, envs: int, runs: int) -> None:
     """Return the type and the counts that each regime is made for, where contacts make centimetres of rounding."""

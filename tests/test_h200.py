@@ -30,6 +30,7 @@ def evaluation(tables: Any) -> Any:
     return tables.shipped()
 
 
+@pytest.mark.slow
 def test_documents_show_what_the_files_say(tables: Any, evaluation: Any) -> None:
     """Hold the tables of both pages to the recordings; make figures redraws them."""
     for path, page in tables.pages(evaluation).items():

@@ -29,6 +29,7 @@ def sweep(folder: Path, noise: dict[int, float], runs: int = 3) -> list[Path]:
     return files
 
 
+@pytest.mark.slow
 def test_noise_of_one_size_stays(tmp_path: Path) -> None:
     """Find the same at each N where the law is the same, though distances of all environments fall."""
     (found,) = evaluate_files(sweep(tmp_path, {4: 0.01, 8: 0.01, 32: 0.01})).accumulation

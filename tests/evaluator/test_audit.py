@@ -430,6 +430,7 @@ def test_a_part_of_a_recording_is_said_to_be_one(tmp_path_factory: pytest.TempPa
     assert (_rung(audit, "bit-identical")["holds"], _rung(audit, "within-ulps")["holds"]) == (False, None)
 
 
+@pytest.mark.slow
 def test_two_originals_and_five_replays_are_enough(small_set: list[Path], tmp_path: Path) -> None:
     """Call another friction cone different with as many replays as the command asks for."""
     done = _audit(*small_set[:2], "--runs", "5", "--option", "cone=pyramidal", "--out", tmp_path, "--json", "-")

@@ -170,6 +170,7 @@ def arms(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_probed(arms: Path) -> None:
     """Answer what can be asked of environments that differ in their parameters, and say what cannot."""
     (probe,) = json.loads((arms / "answers.json").read_text())["probes"]
@@ -193,6 +194,7 @@ def test_probed(arms: Path) -> None:
     assert answers["slot"]["compared"] == "the same initial states and parameters, 1 slots further"
 
 
+@pytest.mark.slow
 def test_arms_of_files(arms: Path) -> None:
     """Hold an environment in another slot against itself by parameters, and not against who stood there before."""
     files = sorted(arms.glob("*.mcap"))

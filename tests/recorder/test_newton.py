@@ -155,7 +155,7 @@ def test_a_box_rests(solver: str) -> None:
     ("solver", "too_small", "expected"),
     [
         ("mujoco", {"max_rows": "3"}, "NEFC"),
-        ("mujoco", {"max_contacts": "1"}, "NARROWPHASE"),
+        pytest.param("mujoco", {"max_contacts": "1"}, "NARROWPHASE", marks=pytest.mark.slow),
         ("xpbd", {"max_contacts": "1"}, "CONTACT_BUFFER"),
         pytest.param("steel", {"max_rows": "3"}, "constraint_overflow", marks=pytest.mark.slow),
         pytest.param("vbd", {"max_rows": "3"}, "BODY_CONTACTS", marks=pytest.mark.slow),

@@ -100,7 +100,10 @@ def test_counts_of_a_resting_stack() -> None:
     assert after.counts["contacts"].tolist() == [[8, 8, 8]]
 
 
-@pytest.mark.parametrize(("option", "bit"), [({"nconmax": 4}, "NARROWPHASE"), ({"njmax": 12}, "NEFC")])
+@pytest.mark.parametrize(
+    ("option", "bit"),
+    [pytest.param({"nconmax": 4}, "NARROWPHASE", marks=pytest.mark.slow), ({"njmax": 12}, "NEFC")],
+)
 def test_a_small_buffer_makes_the_run_invalid(
     option: dict[str, int], bit: str, gsb_record: Command, tmp_path: Path
 ) -> None:
