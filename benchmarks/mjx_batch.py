@@ -6,8 +6,9 @@ them are also stepped as a batch of their own. Inputs are the same bits, so the 
 1. Each primitive of a step by itself, as jaxprs have them, none fused with another: those whose result differs in the
    other batch. For each of them the step is computed once more in which it alone gives the first FEW environments what
    it gives them in the other batch: does what moves (positions, velocities, the solver's warm start) change?
-2. Whole compiled steps, in four processes: triangular systems solved by the primitive or column by column, with XLA's
-   fusion of operations and without: the first step at which the first FEW environments differ.
+2. Whole compiled steps, each in a process of its own: triangular systems solved, and matrices factorised, by the
+   primitives or column by column, with XLA's fusion of operations and without: the first step at which the first FEW
+   environments differ.
 
     python -m benchmarks.mjx_batch [--many 64] [--few 16] [--at 2] [--steps 40]
 
@@ -49,6 +50,9 @@ MOVES = ("qpos", "qvel", "qacc_warmstart")
 EXACT = {"transpose", "reshape", "broadcast_in_dim", "slice", "dynamic_slice", "squeeze", "concatenate", "gather"}
 """Primitives that only move numbers, which are not compared."""
 
+_COLUMNS = ("none", "solve", "factor and solve")
+_LINES = (("none", "yes"), ("none", "no"), ("solve", "yes"), ("solve", "no"), ("factor and solve", "no"))
+
 Place = tuple[str, str, str]
 """Of a primitive: its name, where MJX calls it, and the shapes of its operands for FEW environments."""
 
@@ -80,6 +84,26 @@ def by_columns(factor: tuple[Any, bool], right: Any) -> Any:
 
     half = jax.lax.fori_loop(0, n, down, right, unroll=4)
     return jax.lax.fori_loop(0, n, up, half, unroll=4)
+
+
+def factor_by_columns(matrix: Any, **_: Any) -> tuple[Any, bool]:
+    """The upper triangle [n, n] of ``jax.scipy.linalg.cho_factor``, without a sum whose order a batch could decide.
+
+    What each column of its transpose makes of the matrix is subtracted before the next column is computed.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    n = matrix.shape[0]
+    rows = jnp.arange(n)
+
+    def column(j: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
+        left, triangle = state
+        pivot = jnp.sqrt(left[j, j])
+        found = jnp.where(rows > j, left[:, j] / pivot, jnp.where(rows == j, pivot, 0.0))
+        return left - found[:, None] * found[None, :], triangle.at[:, j].set(found)
+
+    return jax.lax.fori_loop(0, n, column, (matrix, jnp.zeros_like(matrix)))[1].T, False
 
 
 def batched_step(many: int, device: str) -> tuple[Any, Any]:
@@ -233,12 +257,14 @@ def primitives(many: int, few: int, at: int, device: str) -> None:
         print("| " + " | ".join(str(cell) for cell in (*place, *counts, reaches)) + " |", flush=True)
 
 
-def parting(many: int, few: int, steps: int, device: str, columns: bool) -> str:
+def parting(many: int, few: int, steps: int, device: str, columns: str) -> str:
     """The first step after which the first FEW of MANY environments differ from FEW alone."""
     import jax.scipy.linalg
 
-    solve = mock.patch.object(jax.scipy.linalg, "cho_solve", by_columns) if columns else nullcontext()
-    with solve:
+    own = {"none": {}, "solve": {"cho_solve": by_columns}}.get(
+        columns, {"cho_solve": by_columns, "cho_factor": factor_by_columns}
+    )
+    with mock.patch.multiple(jax.scipy.linalg, **own) if own else nullcontext():
         step, data = batched_step(many, device)
         alone = first(data, few)
         programs = [jax.jit(step).lower(batch).compile() for batch in (data, alone)]
@@ -257,26 +283,23 @@ def main() -> None:
     p.add_argument("--at", type=int, default=2, help="step of the first table; 0: none")
     p.add_argument("--steps", type=int, default=40, help="of the second table; 0: none")
     p.add_argument("--device", default="auto")
-    p.add_argument("--columns", choices=("no", "yes"), help=argparse.SUPPRESS)
+    p.add_argument("--columns", choices=_COLUMNS, help=argparse.SUPPRESS)
     a = p.parse_args()
     if a.columns:
-        print(parting(a.many, a.few, a.steps, a.device, a.columns == "yes"))
+        print(parting(a.many, a.few, a.steps, a.device, a.columns))
         return
     if a.at:
         os.environ.setdefault("XLA_FLAGS", RUN_TO_RUN)
         primitives(a.many, a.few, a.at, a.device)
     if a.steps:
-        print(
-            f"\n| triangular systems | fusion | the first {a.few} of {a.many} environments differ from {a.few} alone |"
-        )
+        print(f"\n| column by column | fusion | the first {a.few} of {a.many} environments differ from {a.few} alone |")
         print("| --- | --- | --- |")
-    for columns in ("no", "yes") if a.steps else ():
-        for fused, flags in (("yes", RUN_TO_RUN), ("no", f"{RUN_TO_RUN} {NO_FUSION}")):
-            command = [sys.executable, "-m", "benchmarks.mjx_batch", *sys.argv[1:], "--columns", columns]
-            done = subprocess.run(command, env={**os.environ, "XLA_FLAGS": flags}, capture_output=True, text=True)
-            said = done.stdout.strip() or f"failed: {done.stderr.strip().splitlines()[-1]}"
-            solved = "column by column" if columns == "yes" else "as shipped"
-            print(f"| {solved} | {fused} | {said} |", flush=True)
+    for columns, fused in _LINES if a.steps else ():
+        flags = RUN_TO_RUN if fused == "yes" else f"{RUN_TO_RUN} {NO_FUSION}"
+        command = [sys.executable, "-m", "benchmarks.mjx_batch", *sys.argv[1:], "--columns", columns]
+        done = subprocess.run(command, env={**os.environ, "XLA_FLAGS": flags}, capture_output=True, text=True)
+        said = done.stdout.strip() or f"failed: {done.stderr.strip().splitlines()[-1]}"
+        print(f"| {columns} | {fused} | {said} |", flush=True)
 
 
 if __name__ == "__main__":
