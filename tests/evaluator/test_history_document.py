@@ -181,15 +181,16 @@ def test_the_whole() -> None:
         curve(HOST, 7.0, 9.0, 11.0, why_not="too large"),
         curve(METRICS["distinct_runs"]),
     )
-    found = full(history(traced(curves=curves, facts=changes(1), points=3), points=3))
+    facts = [*changes(1), Fact(1, 0, finding(Change.SMALL, "f1", note="runs of a side"))]
+    found = full(history(traced(curves=curves, facts=facts, points=3), points=3))
     tables = {block.key: block for block in walk(found.blocks) if isinstance(block, Table)}
     table = tables["changes"]
     assert [(cell.text, cell.tone) for cell in cells(table, "p")] == [
         ("0.012", Tone.PLAIN),
         ("< 1e-12", Tone.PLAIN),
-        ("fact", Tone.QUIET),
+        *[("fact", Tone.QUIET)] * 2,
     ]
-    assert [cell.text for cell in cells(table, "point")] == ["v2", "v1", "v1"]
+    assert [cell.text for cell in cells(table, "point")] == ["v2", "v1", "v1", "v1"]
     (quantities,) = (block for key, block in tables.items() if key.endswith("-quantities"))
     assert [cell.text for cell in cells(quantities, "points")] == ["3", "3", "0"]
     assert [cell.text for cell in cells(quantities, "first value")] == ["100", "7.00", "-"]
@@ -201,5 +202,7 @@ def test_the_whole() -> None:
     assert [cell.text for cell in cells(points, "point")] == ["v0", "v1", "v2"]
     assert [cell.text for cell in cells(points, "versions")] == ["sim 1"] * 3
     (section,) = (block for block in found.blocks if isinstance(block, Section) and block.key.startswith("series"))
+    told = ["v1: changed: f0, is another", "v1: differs, below threshold: f1, is another (runs of a point)"]
+    assert [item.text for block in section.blocks if isinstance(block, Items) for item in block.items] == told
     assert section.summary == "CPU: 3 points, 3 changes"
     assert not section.folded
