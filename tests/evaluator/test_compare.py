@@ -446,6 +446,9 @@ def test_one_environment_leaves_nothing_to_decide(tmp_path: Path, capsys: pytest
         for what, is_open in undecided.items():
             found = finding(document, what)
             assert (found["change"], bool(found["undecided"])) == ("not compared", is_open), (name, what)
+        if name == "dead":
+            between = finding(document, "w1_run_to_run")
+            assert (between["change"], between["applies"]) == ("not compared", True)
 
 
 def test_another_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

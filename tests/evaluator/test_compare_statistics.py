@@ -143,6 +143,7 @@ def test_more_dealings_than_can_be_looked_at_are_drawn(monkeypatch: pytest.Monke
     monkeypatch.setattr(exchange, "MOST_DEALINGS", 100)
     drawn = compare_means(values, head, [0] * 16)
     assert (exact.exhaustive, drawn.exhaustive, drawn.n) == (True, False, exchange.DRAWN + 1)
+    assert (exact.ways, drawn.ways) == (f"all {math.comb(16, 8)} ways", "9999 ways drawn with seed 0")
     assert drawn.p_value == pytest.approx(exact.p_value, abs=0.02)
     assert drawn == compare_means(values, head, [0] * 16)
 

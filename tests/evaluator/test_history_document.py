@@ -15,6 +15,7 @@ from gpusimbench.evaluator.compare.history.curves import Curve, Sample, Shift
 from gpusimbench.evaluator.compare.history.document import full, short
 from gpusimbench.evaluator.compare.history.history import Event, Fact, History, Traced
 from gpusimbench.evaluator.compare.history.points import Point
+from gpusimbench.evaluator.compare.history.series import _device
 from gpusimbench.evaluator.render.document import Cell, Document, Items, Section, Table, Text, Tone, walk
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
@@ -206,3 +207,14 @@ def test_the_whole() -> None:
     assert [item.text for block in section.blocks if isinstance(block, Items) for item in block.items] == told
     assert section.summary == "CPU: 3 points, 3 changes"
     assert not section.folded
+
+
+@pytest.mark.parametrize(
+    ("built", "device"),
+    [([("1", "A"), ("2", "B")], "B"), ([("1", "A"), ("", "B")], "A"), ([("", "A"), ("", "B")], "B")],
+)
+def test_the_device_of_a_curve(built: list[tuple[str, str]], device: str) -> None:
+    """Name the device by the newest runs that were built, or else by the newest of all."""
+    keys = [SimpleNamespace(version=version, device=name) for version, name in built]
+    entries: Any = [SimpleNamespace(group=SimpleNamespace(key=key)) for key in keys]
+    assert _device(entries) == device
