@@ -84,7 +84,7 @@ coverage: $(VENV)/.installed-test
 # cosmic-ray makes the mutants; nothing else needs it.
 mutants: $(VENV)/.installed-test
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt cosmic-ray
-	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS)
+	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS) $(MORE)
 
 proto: $(VENV)/.installed-test
 	$(BIN)/python schemas/build_descriptors.py

@@ -41,8 +41,8 @@ SAY = "GSB_MUTANTS_SAY"
 LIMIT_BYTES = 8 << 30
 """Of memory, a process: a mutant that takes more fails its test and does not end what else runs on the machine."""
 
-ROUNDS_S = (6.0, 24.0)
-"""Seconds of a processor after which no other test begins for a mutant: first for all, then for those still alive."""
+FIRST_S = 6.0
+"""Seconds of a processor after which no other test begins for a mutant; those still alive get the rest afterwards."""
 
 TEST_S = 30
 """Seconds of a processor that a test may take; no quick test takes as many. With a mutant that takes more, it loops."""
@@ -126,7 +126,7 @@ class _Runner:
     def run(self) -> None:
         alive = self._task["mutants"]
         passed: dict[int, set[str]] = {mutant["number"]: set() for mutant in alive}
-        for most_s in ROUNDS_S:
+        for most_s in (FIRST_S, self._task["seconds"] - FIRST_S):
             mutants, alive = alive, []
             for mutant in mutants:
                 result = self._judged(mutant, most_s, passed[mutant["number"]])

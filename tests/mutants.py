@@ -40,7 +40,7 @@ import pytest
 from tests import mutant_runner
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("schemas", "recorder", "evaluator")
+PACKAGES = ("schemas", "recorder", "evaluator", "src/gpusimbench")
 
 FOLDERS = (
     *("evaluator/metrics", "evaluator/transport", "evaluator/statistics", "evaluator/compare", "evaluator/audit"),
@@ -50,7 +50,7 @@ LINKED = ("recordings", "docs", ".git")
 """Read by tests and never written, so that no copy is made."""
 
 MOST_FILES = 6
-"""Files of tests that a mutant meets."""
+"""Files of tests that a mutant meets, unless more are asked for."""
 
 _COMPILED = "transport.compiled import"  # what has code in it that is compiled to machine code
 _KEPT = ROOT / ".cache" / "mutants.json"
@@ -83,13 +83,16 @@ def main() -> int:
     parser.add_argument("--sample", type=int, default=100, help="how many mutants (default: 100)")
     parser.add_argument("--seed", type=int, default=1, help="of the sample (default: 1)")
     parser.add_argument("--jobs", type=int, default=2, help="how many run at once (default: 2)")
+    parser.add_argument("--files", type=int, default=MOST_FILES, help="of tests, that a mutant meets (default: 6)")
+    parser.add_argument("--seconds", type=float, default=30.0, help="of a processor, for a mutant (default: 30)")
     given = parser.parse_args()
     mutants = sample(given.folders, given.sample, given.seed)
     kept = _kept()
     killed = {n for n, mutant in enumerate(mutants) if _stays_killed(mutant, kept)}
     print(f"{len(killed)} of {len(mutants)} mutants were killed earlier", flush=True)
     alive: set[int] = set()
-    for result in _run(mutants, [n for n in range(len(mutants)) if n not in killed], given.jobs):
+    left = [n for n in range(len(mutants)) if n not in killed]
+    for result in _run(mutants, left, given.jobs, given.files, given.seconds):
         number, by = result["number"], result["killed_by"]
         mutant = mutants[number]
         place = f"{number + 1:4d}/{len(mutants)}  {mutant.path}:{mutant.line}"
@@ -107,7 +110,8 @@ def main() -> int:
             print(f"          left out, because it fails without a mutant: {test}")
     for number in sorted(alive):
         mutant = mutants[number]
-        print(f"\n{mutant.path}:{mutant.line}\n- {mutant.before}\n+ {mutant.after}\n  {' '.join(near(mutant.path))}")
+        nearest = " ".join(near(mutant.path)[:MOST_FILES])
+        print(f"\n{mutant.path}:{mutant.line}\n- {mutant.before}\n+ {mutant.after}\n  {nearest}")
     print(f"\n{len(killed)} of {len(mutants)} mutants killed, seed {given.seed}")
     return 0
 
@@ -131,13 +135,15 @@ def _stays_killed(mutant: Mutant, kept: dict[str, list[str]]) -> bool:
     return bool(digest) and digest == _digest(test)
 
 
-def _run(mutants: Sequence[Mutant], numbers: Sequence[int], jobs: int) -> Iterator[dict[str, Any]]:
+def _run(
+    mutants: Sequence[Mutant], numbers: Sequence[int], jobs: int, files: int, seconds: float
+) -> Iterator[dict[str, Any]]:
     # what became of the mutants of these numbers, as soon as it is known
     results: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
 
     def follow(folder: Path, part: Sequence[int]) -> None:
         try:
-            for line in _runner(folder, {number: mutants[number] for number in part}):
+            for line in _runner(folder, {number: mutants[number] for number in part}, files, seconds):
                 results.put(json.loads(line))
         finally:
             results.put(None)
@@ -152,15 +158,17 @@ def _run(mutants: Sequence[Mutant], numbers: Sequence[int], jobs: int) -> Iterat
             one.result()
 
 
-def _runner(folder: Path, mutants: Mapping[int, Mutant]) -> Iterator[str]:
+def _runner(folder: Path, mutants: Mapping[int, Mutant], files: int, seconds: float) -> Iterator[str]:
     # results, as JSON, of one process that runs mutants in a copy of the checkout
     tree = _copy(folder / "tree")
     (folder / "numba").mkdir()
+    meets = {number: near(m.path)[:files] for number, m in mutants.items()}
     told = [
-        {"number": number, "path": m.path, "code": m.code, "tests": near(m.path), "compiled": _COMPILED in m.code}
+        {"number": number, "path": m.path, "code": m.code, "tests": meets[number], "compiled": _COMPILED in m.code}
         for number, m in mutants.items()
     ]
-    (folder / "task").write_text(json.dumps({"folder": str(folder), "mutants": told}), encoding="utf-8")
+    task = {"folder": str(folder), "mutants": told, "seconds": seconds}
+    (folder / "task").write_text(json.dumps(task), encoding="utf-8")
     reading, writing = os.pipe()
     env = {name: value for name, value in os.environ.items() if name != "GSB_TESTS_SHARE"}
     env |= {
@@ -170,7 +178,7 @@ def _runner(folder: Path, mutants: Mapping[int, Mutant]) -> Iterator[str]:
         "NUMBA_CACHE_DIR": str(folder / "numba"),
         "TMPDIR": str(folder),
     }
-    tests = sorted({test for m in mutants.values() for test in near(m.path)})
+    tests = sorted({test for some in meets.values() for test in some})
     with (folder / "said").open("w") as said:
         child = subprocess.Popen(
             [*mutant_runner.command(), *tests],
@@ -290,7 +298,7 @@ def _copy(tree: Path) -> Path:
 
 @cache
 def near(path: str) -> list[str]:
-    """Files of tests that concern a file of the code, nearest first.
+    """Files of tests that import a file of the code, nearest first.
 
     Near are those that import the module by few steps; among them first those named like the module or its folder, and
     of as many steps those of the folder that mirrors the package. A test that calls a command imports the command's
@@ -305,7 +313,7 @@ def near(path: str) -> list[str]:
         elsewhere = Path(test).parts[1] != Path(path).parts[0]
         return (not named or distances[test] > 3, distances[test], elsewhere, (ROOT / test).stat().st_size)
 
-    return sorted((test for test in distances if distances[test] <= 4), key=turn)[:MOST_FILES]
+    return sorted((test for test in distances if distances[test] < sys.maxsize), key=turn)
 
 
 @cache
@@ -354,7 +362,7 @@ def _imports(source: str) -> set[str]:
 def _module_of(path: str) -> str:
     parts = Path(path).with_suffix("").parts
     parts = parts[:-1] if parts[-1] == "__init__" else parts
-    return ".".join(parts if parts[0] == "tests" else ("gpusimbench", *parts))
+    return ".".join(parts[1:] if parts[0] == "src" else parts if parts[0] == "tests" else ("gpusimbench", *parts))
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ _TEXTS = st.text(st.characters() | st.sampled_from("\n\r\t\x85\u200b\u200e\u2028
     [("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t"), ("\x1b", "\\x1b"), ("\x85", "\\x85"), ("\u200b", "\\u200b"),
      ("\u200e", "\\u200e"), ("\u2028", "\\u2028"), ("\u202e", "\\u202e"), ("\u2066", "\\u2066"), ("\ufe0f", "\\ufe0f"),
      ("\ufeff", "\\ufeff"), ("\u3164", "\\u3164"), ("\U000e0041", "\\U000e0041"), ("\udcff", "\\udcff"),
+     ("\x7f", "\\x7f"), ("\xad", "\\xad"), ("\u0600", "\\u0600"), ("\uffff", "\\uffff"), ("\U0001ffff", "\\U0001ffff"),
      *((chr(c), f"\\u{c:04x}") for c in _LOOK_LIKE_NOTHING)],
 )  # fmt: skip
 def test_what_moves_or_hides_text_is_shown(sign: str, shown: str) -> None:

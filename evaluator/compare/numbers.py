@@ -157,8 +157,7 @@ def _by_chance(order: Schedule) -> str:
 def _exchanged(found: Shift, blocks: tuple[int, ...]) -> str:
     count = len(set(blocks))
     within = f"within {count} blocks of neighbours in time" if count > 1 else "with any other"
-    how = f"all {found.n} ways" if found.exhaustive else f"{found.n - 1} ways drawn with seed {found.seed}"
-    return f"permutation test, runs exchanged {within} ({how}); the interval inverts the test"
+    return f"permutation test, runs exchanged {within} ({found.ways}); the interval inverts the test"
 
 
 def _values(metric: Metric, side: GroupRuns) -> Sequence[float | Missing]:

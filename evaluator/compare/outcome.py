@@ -132,12 +132,11 @@ class _Spread(_Exchanged):
 
 
 def _tested(finding: Finding, found: Shift) -> Finding:
-    how = f"all {found.n} ways" if found.exhaustive else f"{found.n - 1} ways drawn with seed {found.seed}"
     return replace(
         finding,
         p_value=found.p_value,
         least_p=found.least_p,
-        test=f"permutation test, whole runs exchanged with any other ({how})",
+        test=f"permutation test, whole runs exchanged with any other ({found.ways})",
     )
 
 

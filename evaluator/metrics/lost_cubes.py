@@ -71,9 +71,9 @@ class Sinking:
         sank  <=>  z < top - radius at the end, and when z last fell below top, (x, y) was within low .. high
 
     z is of the body's centre and radius half its diagonal, so that all of the body is beneath: soft contacts let a body
-    in by up to its own size for a few steps of an impact, and push it out again. (x, y) at the crossing is interpolated
-    between two rows. What fell over the edge crossed the height of the top outside of the support, and is not counted,
-    wherever it went later.
+    in by up to its own size for a few steps of an impact, and push it out again. (x, y) is that of the two rows before
+    and after the fall, and so of every point between them. What fell over the edge was outside of the support in one of
+    them, and is not counted, wherever it went later.
 
     sank   shape [env, item], after the rows fed so far
     since  row at which each went below the top for the last time, shape [env, item]; -1 where it did not sink
@@ -95,8 +95,7 @@ class Sinking:
         for index, support in enumerate(self._supports):
             was_above, is_above = self._before[..., 2] >= support.top, now[..., 2] >= support.top
             crossed = was_above & (now[..., 2] < support.top)
-            for place in (self._before[..., :2], _at_height(self._before, now, support), now[..., :2]):
-                crossed &= _within(place, support)
+            crossed &= _within(self._before[..., :2], support) & _within(now[..., :2], support)
             self._through[index] = (self._through[index] | crossed) & ~is_above
             self._since[index][crossed] = self._row
         self._before = now
@@ -122,15 +121,6 @@ class Sinking:
 def may_have_sunk(position: npt.NDArray[np.floating], supports: Sequence[Support], radius: float) -> bool:
     """Whether any body [m], shape [..., 3], is beneath a support: without one, none can have sunk."""
     return any(bool((np.asarray(position)[..., 2] < support.top - radius).any()) for support in supports)
-
-
-def _at_height(before: Array, now: Array, support: Support) -> Array:
-    # x and y where the straight line between two rows passes the height of the top
-    fall = before[..., 2] - now[..., 2]
-    # where the fall is nothing or next to it, the crossing is infinitely far off, and within no support
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        share = (before[..., 2] - support.top) / fall
-        return np.asarray(before[..., :2] + share[..., None] * (now[..., :2] - before[..., :2]))
 
 
 def _within(planar: Array, support: Support) -> npt.NDArray[np.bool_]:

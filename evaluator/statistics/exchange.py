@@ -61,6 +61,11 @@ class Shift:
     exhaustive: bool
     seed: int
 
+    @property
+    def ways(self) -> str:
+        """How many dealings were looked at, in words; the observed one is not among those that were drawn."""
+        return f"all {self.n} ways" if self.exhaustive else f"{self.n - 1} ways drawn with seed {self.seed}"
+
 
 def count_dealings(head: npt.ArrayLike, blocks: npt.ArrayLike) -> int:
     """How many ways there are to deal the runs: the product over blocks of (runs choose runs of the second side)."""

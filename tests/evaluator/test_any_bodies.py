@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import compare, diff, evaluate, open_recording
+from gpusimbench.evaluator.audit.audit import _sample_time
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.metrics.joints import (
     JointSpace,
@@ -218,6 +219,10 @@ def test_sample_time_of_a_scene(tmp_path: Path) -> None:
         (result,) = evaluation.results
         assert evaluation.sampled_at(result.group.key.scene) == time
         assert result.group.recordings[0].positions.time == pytest.approx(time)
+        recording = open_recording(files[0])
+        outcome = outcome_of(recording)
+        assert isinstance(outcome, tuple)
+        assert _sample_time(recording, outcome) == pytest.approx(time)  # that of an audit
         assert any(said in note for note in evaluation.notes), evaluation.notes
 
 

@@ -77,6 +77,14 @@ def test_the_set_and_its_files_are_counted(five: list[Recording]) -> None:
     assert {str(r.path) for r in five[1:]} <= set(every)
 
 
+@pytest.mark.parametrize(("length", "shown"), [(200, "x" * 200), (201, "x" * 197 + "...")])
+def test_a_long_command_is_cut(five: list[Recording], length: int, shown: str) -> None:
+    """Show 200 characters of the command that made a recording."""
+    original = open_recording(five[0].path)
+    original.provenance = replace(original.provenance, argv=("x" * length,))
+    assert [line for line in lines(Audit((original,)), every=True) if line.startswith("x")] == [shown]
+
+
 def test_distinct_runs_are_counted(five: list[Recording]) -> None:
     """Tell the numbers of runs from those of distinct runs, there, here and together."""
     audit = Audit(tuple(five[:2]), made(five[2:]), tuple(five[2:]), distinct=(1, 2, 3))
@@ -126,14 +134,15 @@ def test_a_replay_that_differs_is_the_one_shown(five: list[Recording]) -> None:
 
 def test_an_original_that_did_not_come_out_again(five: list[Recording]) -> None:
     """Decide nothing of a set of which a file was not reproduced; of a single file, that it is another."""
-    for originals, rungs in (
-        ((five[0], five[2]), [True] * 4),
-        ((five[0], five[4]), [None] * 4),
-        ((five[4],), [False, False, False, None]),
+    for originals, rungs, said in (
+        ((five[0], five[2]), [True] * 4, "Re-execution gives the same bits (bit-identical)"),
+        ((five[0], five[4]), [None] * 4, "Re-execution gives the same bits as far as compared; not everything was"),
+        ((five[4],), [False, False, False, None], "Re-execution gives other bits; undecided whether of the same"),
     ):
         audit = held(originals, made(five[1:2]), (five[1],), max_ulps=4)
         assert audit.verdict is not None
         assert [rung.holds for rung in audit.verdict.rungs] == rungs
+        assert lines(audit)[0].startswith(said)
 
 
 def test_settings_are_cut_and_counted(five: list[Recording]) -> None:

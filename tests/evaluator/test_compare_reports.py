@@ -168,18 +168,19 @@ def test_a_check_of_mechanics_that_is_broken_now(tmp_path: Path, capsys: pytest.
     assert finding(document, "mechanics.sank")["change"] == "improvement"
 
 
+def ended(rng: np.random.Generator, *, sunk: bool) -> dict[str, Any]:
+    """A run that ends with its cubes on the floor, or below the floor."""
+    found = grid(2) + 0.001 * rng.normal(size=(2, 27, 3))
+    found[:, :, 2] = -0.5 if sunk else 0.03
+    return {"final": found}
+
+
 def test_a_check_that_some_runs_break(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Count runs where they differ: one of six that breaks a check is no regression, all six are."""
     rng = np.random.default_rng(2)
-
-    def final(broken: bool) -> dict[str, Any]:
-        found = grid(2) + 0.001 * rng.normal(size=(2, 27, 3))
-        found[:, :, 2] = -0.5 if broken else 0.03
-        return {"final": found}
-
-    base = [final(False) for _ in range(6)]
+    base = [ended(rng, sunk=False) for _ in range(6)]
     for count, change, p in ((1, "not distinguishable", 1.0), (6, "regression", 2 / 924)):
-        head = [final(i < count) for i in range(6)]
+        head = [ended(rng, sunk=i < count) for i in range(6)]
         _, document = compared(*write_sides(tmp_path / str(count), base, head, elapsed_s=None), capsys=capsys)
         sank = finding(document, "mechanics.sank")
         assert (sank["change"], sank["p_value"]) == (change, pytest.approx(p))
@@ -189,21 +190,15 @@ def test_a_check_that_some_runs_break(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_checks_are_tested_however_broken_runs_fell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Ask of a check that runs of both sides break, as of one that runs of one side do: the family is one."""
     rng = np.random.default_rng(3)
-
-    def final(broken: bool) -> dict[str, Any]:
-        found = grid(2) + 0.001 * rng.normal(size=(2, 27, 3))
-        found[:, :, 2] = -0.5 if broken else 0.03
-        return {"final": found}
-
     for broken_base, broken_head, change, p in (
         (1, 1, "not distinguishable", 1.0), (1, 6, "regression", 14 / 924), (6, 1, "improvement", 14 / 924),
     ):  # fmt: skip
-        base, head = ([final(i < count) for i in range(6)] for count in (broken_base, broken_head))
+        base, head = ([ended(rng, sunk=i < count) for i in range(6)] for count in (broken_base, broken_head))
         sides = write_sides(tmp_path / f"{broken_base}-{broken_head}", base, head, elapsed_s=None)
         _, document = compared(*sides, "--outcome", "1e9", capsys=capsys)
         sank = finding(document, "mechanics.sank")
         assert (sank["change"], sank["p_value"]) == (change, pytest.approx(p))
-    base, head = ([final(True) for _ in range(6)] for _ in range(2))
+    base, head = ([ended(rng, sunk=True) for _ in range(6)] for _ in range(2))
     _, document = compared(*write_sides(tmp_path / "every", base, head, elapsed_s=None), capsys=capsys)
     assert finding(document, "mechanics")["change"] == "same"
 

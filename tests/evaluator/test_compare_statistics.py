@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations, permutations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
+from gpusimbench.evaluator.compare.compare import _answered, _Asked
 from gpusimbench.evaluator.compare.finding import Change, Counted, Finding, Settings
 from gpusimbench.evaluator.compare.numbers import matters
 from gpusimbench.evaluator.compare.schedule import Schedule, neighbours
@@ -53,6 +55,16 @@ def test_blocks_give_exactly_their_own_dealings() -> None:
     assert len({row.tobytes() for row in found.head}) == len(found.head) == count_dealings(head, blocks) == 36
     assert found.head[0].tolist() == head
     assert (found.head[:, :4].sum(axis=1) == 2).all()
+
+
+def test_blocks_of_other_sizes_count_by_their_precision() -> None:
+    """Give the difference that least squares gives where every block has a level of its own."""
+    blocks = np.array([0, 0, 1, 1, 1, 2, 2, 2, 2, 2])
+    head = np.array([0, 1, 0, 0, 1, 0, 1, 1, 1, 1], dtype=bool)
+    values = np.random.default_rng(4).normal(size=10)
+    design = np.column_stack([head, blocks[:, None] == np.unique(blocks)])
+    difference = np.linalg.lstsq(design.astype(float), values, rcond=None)[0][0]
+    assert compare_means(values, head, blocks).difference == pytest.approx(difference)
 
 
 def test_a_known_p_value_of_pairs() -> None:
@@ -131,6 +143,7 @@ def test_more_dealings_than_can_be_looked_at_are_drawn(monkeypatch: pytest.Monke
     monkeypatch.setattr(exchange, "MOST_DEALINGS", 100)
     drawn = compare_means(values, head, [0] * 16)
     assert (exact.exhaustive, drawn.exhaustive, drawn.n) == (True, False, exchange.DRAWN + 1)
+    assert (exact.ways, drawn.ways) == (f"all {math.comb(16, 8)} ways", "9999 ways drawn with seed 0")
     assert drawn.p_value == pytest.approx(exact.p_value, abs=0.02)
     assert drawn == compare_means(values, head, [0] * 16)
 
@@ -235,15 +248,50 @@ def test_no_table_is_below_the_least_p(n1: int, n2: int, data: st.DataObject) ->
     assert least_fisher(odd, n1, n2) == min(fisher(*table) for table in tables)
 
 
-@given(st.lists(st.sampled_from([0.5, 0.1, 0.03, 0.01, 0.002, 0.0001]), max_size=30))
+@given(st.lists(st.sampled_from([0.5, 0.1, 0.04, 0.03, 0.01, 0.002, 0.0001]), max_size=30))
+@example([0.03, *[0.01] * 6])  # six that no family of six can reject, and a seventh that is not rejected beside them
+@example([0.03, 0.04, 0.04])
 def test_a_family_has_only_tests_that_can_be_rejected(least: list[float]) -> None:
-    """Keep tests that reach the level of their family, and leave none out that would reach it with the others in."""
+    """Keep tests that reach the level of their family, the best ones, and as many as any level is reached by so few."""
     able = able_to_reject(least, 0.05)
-    family = [p for p, can in zip(least, able, strict=True) if can]
+    family, out = ([p for p, can in zip(least, able, strict=True) if can is kept] for kept in (True, False))
     assert all(p <= 0.05 / len(family) for p in family)
-    # the next best, with all that are as good: they could not be rejected together
-    out = [p for p, can in zip(least, able, strict=True) if not can]
-    assert all(p > 0.05 / (len(family) + out.count(p)) for p in out)
+    assert max(family, default=0.0) < min(out, default=1.0)
+    reached = [sum(p <= 0.05 / size for p in least) for size in range(1, len(least) + 1)]
+    assert len(family) == max((n for size, n in enumerate(reached, start=1) if n <= size), default=0)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A question whose p is known."""
+
+    p: float
+
+    @property
+    def least_p(self) -> float:
+        """It can give no other."""
+        return self.p
+
+    def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
+        """Two findings, which have the level in their notes."""
+        shown = Finding(Axis.BITS, "q", "q", Change.CHANGED, p_value=self.p, note=f"{level:.3g}, {able}")
+        return shown, replace(shown, change=Change.UNCLEAR)
+
+
+def test_axes_that_do_not_count_make_no_other_p_larger() -> None:
+    """Adjust for the tests of axes with a gate that could show something; variability and other axes by themselves."""
+    settings = Settings(gates=frozenset({Axis.THROUGHPUT, Axis.MEMORY}))
+    axes = [Axis.THROUGHPUT, Axis.MEMORY, Axis.MEMORY, Axis.BUILD, Axis.DETERMINISM, Axis.VARIABILITY]
+    drafts = [[_Asked(axis, Asked(p)) for axis, p in zip(axes, (0.02, 0.01, 0.5, 0.02, 0.01, 0.04), strict=True)]]
+    (found,), tests = _answered(drafts, settings)
+    assert tests == 2
+    assert [one.p_adjusted for one in found] == [0.02, 0.02, None, 0.02, 0.02, 0.04]
+    assert [one.change is Change.CHANGED for one in found] == [True, True, False, True, True, True]
+    assert [one.note for one in found] == [
+        "0.025, True", "0.025, True", "0.025, False", "0.025, True", "0.025, True", "0.05, True",
+    ]  # fmt: skip
+    assert _answered(drafts[:0], settings) == ([], 0)
+    assert _answered([drafts[0][3:]], settings)[1] == 0
 
 
 def test_few_runs_of_one_configuration_do_not_hide_another() -> None:

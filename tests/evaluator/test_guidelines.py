@@ -166,9 +166,12 @@ def test_runner_up() -> None:
     assert row(PUBLISHED, "large parallelism with simple agents").runner_up is None
 
 
-def test_many_unmeasured_are_counted() -> None:
-    """Name a few simulators that lack a figure, and count the others."""
-    others = [SimulatorResult(f"S{i}", fps=1.0) for i in range(9)]
+@pytest.mark.parametrize(
+    ("lacking", "named"), [(4, "S0, S1, S2, S3"), (5, "S0, S1, S2, S3, S4"), (6, "S0, S1, S2, S3 and 2 more")]
+)
+def test_many_unmeasured_are_counted(lacking: int, named: str) -> None:
+    """Name a few simulators that lack a figure, and count the others, unless a name takes the place of the count."""
+    others = [SimulatorResult(f"S{i}", fps=1.0) for i in range(lacking)]
     evidence = row([*PUBLISHED, *others], "sim-to-real, contact-rich, single run").evidence
     assert evidence is not None
-    assert evidence.endswith("not measured: S0, S1, S2, S3 and 5 more")
+    assert evidence.endswith(f"not measured: {named}")

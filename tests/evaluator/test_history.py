@@ -333,7 +333,7 @@ def test_files_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixture
     shown = capsys.readouterr()
     assert code == 3
     assert "broken.mcap" in shown.err
-    assert "broken.mcap" in shown.out
+    assert "broken.mcap" in "".join(shown.out.split())  # a long path takes several lines
     assert "v3 has no recordings" in shown.out
     assert "is incomplete" in " ".join(shown.out.split())
     assert "2 recordings that lie in" in shown.out

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.metrics.physics.energy import FrictionCone, Rises, mechanical_energy
-from gpusimbench.evaluator.metrics.physics.falling import impact
+from gpusimbench.evaluator.metrics.physics.falling import deformation, impact
 from gpusimbench.evaluator.metrics.physics.kinematics import Displacements
 from gpusimbench.evaluator.metrics.physics.rolling import descent, foot_speed
 from gpusimbench.evaluator.metrics.physics.sliding import Stretches
@@ -57,6 +57,17 @@ def test_gain_bounds_what_errors_do(seed: int, rows: int, dt: float) -> None:
     error = np.random.default_rng(seed).uniform(-1.0, 1.0, rows)
     fit = trend(np.arange(rows, dtype=np.float64) * dt, error)
     assert abs(float(fit.acceleration)) <= fit.gain * (1 + 1e-9)
+
+
+def test_deformation_is_what_bodies_move_against_each_other() -> None:
+    """Give the largest way of a body against the mean of all, at whatever row it was; nothing where all move alike."""
+    position = np.random.default_rng(1).normal(size=(6, 3, 4, 3))
+    together = np.random.default_rng(2).normal(size=(6, 3, 1, 3))
+    position = position[:1] + together - together[:1]
+    assert deformation(position) == pytest.approx(0.0, abs=1e-12)
+    position[2, 1, 3] += [0.0, 0.3, 0.4]  # of four bodies, for one row
+    position[5, 2, 0] += [0.0, 0.0, 0.1]
+    assert deformation(position) == pytest.approx([0.0, 0.5 * 3 / 4, 0.1 * 3 / 4], abs=1e-12)
 
 
 def test_rounding_bounds_a_float32_integration() -> None:

@@ -15,7 +15,17 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from gpusimbench.evaluator.transport.kd_tree import DEPTH, LEAF, Tree, _bound, build, lift_planes, search, set_planes
+from gpusimbench.evaluator.transport.kd_tree import (
+    DEPTH,
+    LEAF,
+    LIFT,
+    Tree,
+    _bound,
+    build,
+    lift_planes,
+    search,
+    set_planes,
+)
 from gpusimbench.evaluator.transport.large import SAME_POINTS, Certified, certified_wasserstein1
 from gpusimbench.evaluator.transport.multiscale import COARSEST, RATIO, Solution, solve
 from tests.conftest import run_python
@@ -312,6 +322,21 @@ def test_planes_follow_prices_that_rise_evenly(slope: tuple[float, float], found
         assert node[4:6] == pytest.approx(found, abs=0.02)
         below = prices[begin:end] - (node[6] + (tree.points[begin:end] - node[:2]) @ node[4:6])
         assert below.min() == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 1.0])
+def test_planes_bound_those_above(noise: float) -> None:
+    """Bound from each node the plane above it in its box, and lose no more than the two slopes part there."""
+    rng = np.random.default_rng(12)
+    tree = build(rng.uniform(2.0, 3.0, size=(60, 2)))
+    prices = tree.points @ np.array([0.3, -0.5]) + noise * rng.normal(size=60)
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    for k in range(1, len(tree.nodes)):
+        own, up = tree.nodes[k], tree.nodes[(k - 1) // 2]
+        inside = slice(tree.begin[k], tree.end[k])
+        height = (prices[inside] - (tree.points[inside] - up[:2]) @ up[4:6]).min()
+        loss = height - (own[6] + own[LIFT])
+        assert -1e-12 <= loss <= 2.0 * abs(own[4:6] - up[4:6]) @ own[2:4] + 1e-12
 
 
 @pytest.mark.parametrize("size", [1, 2, 5, 17, 40])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from gpusimbench.evaluator.compute.mapping import serial
 from gpusimbench.evaluator.metrics import variability
 from gpusimbench.evaluator.metrics.variability import parallel_variability, run_to_run_variability, sampling_step
 from gpusimbench.evaluator.transport import small
@@ -127,6 +128,16 @@ def test_identical_runs_are_not_solved_twice(env: np.ndarray, monkeypatch: pytes
     assert solved == [4 * 27]
     assert two.mean_cm == pytest.approx(9 / 45)
     assert two.n_distinct == 2
+
+
+def test_pairs_of_equal_runs_are_told_from_others_in_any_order(env: np.ndarray) -> None:
+    """Give the same mean over all pairs, whether these are drawn or not, where an outcome comes back after another."""
+    runs = np.stack([env[None] + [shift, 0.0] for shift in (0.0, 0.01, 0.0, 0.03, 0.01)])
+    sets = runs.reshape(5, -1, 2)
+    drawn = variability._of_some_pairs(sets, np.array([0, 1, 0, 2, 1]), 3, 10, serial)
+    every = run_to_run_variability(runs)
+    assert (drawn.mean_cm, drawn.sd_cm) == (pytest.approx(every.mean_cm), pytest.approx(every.sd_cm))
+    assert (drawn.n_pair, drawn.exactness) == (10, "sampled")
 
 
 def test_equal_pairs_have_no_deviation() -> None:

@@ -11,11 +11,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from gpusimbench.recorder.command.arguments import _SIMULATED
 from gpusimbench.recorder.scenes.base import Box, Plane, Sphere
 from gpusimbench.recorder.scenes.emit.mjcf import deviations, emit_mjcf
 from gpusimbench.recorder.scenes.free_fall import DROP_HEIGHT
 from gpusimbench.recorder.scenes.inclined_collision import SLOPE_ANGLE
 from gpusimbench.recorder.scenes.registry import SCENES, make_scene
+from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import SMALL, Command, distribution
 
@@ -122,6 +124,17 @@ def test_an_unknown_scene_names_the_known_ones() -> None:
     """List the scenes that there are."""
     with pytest.raises(UsageError, match="inclined-collision"):
         make_scene("outer-space")
+
+
+def test_a_run_is_what_the_command_makes_it_where_nothing_is_asked_for() -> None:
+    """Give a configuration the defaults of gsb-record, and the window that is timed in most scenes."""
+    plain = RunConfiguration("mujoco", "inclined-collision", n_env=1, dt=0.01, steps=1)
+    assert (plain.warmup, plain.timed_steps) == make_scene(plain.scene).timed_window()
+    asked = {name: value for name, value in _SIMULATED.items() if value is not None and hasattr(plain, name)}
+    assert {"seed", "stride", "determinism", "timeout", "capture"} <= set(asked)
+    assert {name: getattr(plain, name) for name in asked} == {
+        **asked, "phases": tuple(asked["phases"].split(",")), "fitted": {},
+    }  # fmt: skip
 
 
 def _distribution(folder: Path, code: str, names: dict[str, str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from typing import Any
 
 import numpy as np
@@ -89,8 +90,11 @@ def test_unpacked_and_split_arrays_are_read() -> None:
     head = packed[: -len(array.tobytes()) - 2]
     unpacked = head + b"".join(bytes([number << 3 | 5]) + struct.pack("<f", v) for v in array.ravel())
     split = head + b"".join(bytes([number << 3 | 2, 12]) + part.tobytes() for part in (array[0, 0, 0], array[0, 0, 1]))
-    for data in (unpacked, split):
-        assert np.array_equal(decode_state(data)[1], array)
+    first_step = message_class("gsb.v1.StateBlock").DESCRIPTOR.fields_by_name["first_step"].number
+    followed = packed + wire.varint(first_step << 3) + wire.varint(9)
+    for data in (packed, unpacked, split, followed):
+        for crc in (None, zlib.crc32(data)):  # of the array, told from that of the message where it ends the message
+            assert np.array_equal(decode_state(data, crc=crc)[1], array)
 
 
 @pytest.mark.parametrize("position", range(0, 60, 7))

@@ -48,3 +48,4 @@ def test_how_much_may_come_of_it() -> None:
     assert [limit("", n) for n in (0, 5, 1 << 40)] == [0, 5, 1 << 40]
     assert [limit("zstd", n) for n in (0, 2, 1 << 20)] == [1 << 16, 2 * 32768 + 65536, 1 << 30]
     assert [limit("lz4", n) for n in (0, 2, 1 << 30)] == [1 << 16, 2 * 256 + 65536, 1 << 30]
+    assert [limit("unknown", n) for n in (0, 2, 1 << 30)] == [1 << 16, 2 + 65536, 1 << 30]

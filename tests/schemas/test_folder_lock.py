@@ -68,6 +68,30 @@ def test_file_systems_without_locks(
             pass
 
 
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_lock_whose_file_is_removed_as_it_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, replaced: bool
+) -> None:
+    """Lock the file that is there, where a holder ends between the opening and the locking of its file."""
+    path, flock, locked = tmp_path / ".sweep.lock", fcntl.flock, []
+
+    def late(descriptor: int, operation: int) -> None:
+        if not locked:
+            path.unlink()
+            if replaced:
+                path.touch()
+        locked.append(descriptor)
+        flock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with held(tmp_path, "sweep", "makes this sweep"):
+        assert len(locked) == 2
+        assert json.loads(path.read_text())["pid"] == os.getpid()
+        with pytest.raises(GsbError, match="already"), held(tmp_path, "sweep", "makes this sweep"):
+            pass
+    assert os.listdir(tmp_path) == []
+
+
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     """Say so, and what to do, where a file has its name."""
     (tmp_path / "file").touch()

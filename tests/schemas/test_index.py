@@ -96,6 +96,34 @@ def test_a_chunk_has_no_more_messages_than_bytes_for_them(tmp_path: Path, more: 
     assert ("says of the messages of the chunk" in str(refused.value)) is bool(more)
 
 
+@pytest.mark.parametrize("others", [0, 1, 2])
+def test_a_chunk_of_one_message_has_one(tmp_path: Path, others: int) -> None:
+    """Refuse to read the message of a chunk that has more of them than its index says, all at one time."""
+    path = tmp_path / "one.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE, enable_crcs=False)
+        writer.start(FORMAT)
+        number = writer.register_channel("/n", "json", 0)
+        for sequence in range(1 + others):
+            writer.add_message(number, 0, b"{}", 0, sequence)
+        writer.finish()
+    data, index = bytearray(path.read_bytes()), read_index(open_source(path))
+    assert index is not None
+    (chunk,) = index.chunks
+    told = data.rindex(struct.pack("<HQ", chunk.channels[0], chunk.places[0])) + 10
+    struct.pack_into("<Q", data, told, 15 + 16)  # of an index that lists one message
+    struct.pack_into("<Q", data, data.rindex(struct.pack("<QHI", 1 + others, 0, 1)), 1)  # of the statistics
+    name = f"one-message-{others}.mcap"
+    fsspec.filesystem("memory").pipe(f"/{name}", bytes(data))
+    container = Container(Location(f"memory://{name}"))
+    (message,) = container.messages("/n")
+    if others:
+        with pytest.raises(DamagedRecording, match="does not hold the one message"):
+            container.read(message)
+    else:
+        assert container.read(message)[0] == 0
+
+
 def test_an_indexed_file_has_nothing_but_records(tmp_path: Path) -> None:
     """Name the byte at which a file that was opened through its summary has no record before its data end."""
     path, elsewhere = tmp_path / "one.mcap", Location("memory://nothing-but-records.mcap")

@@ -101,6 +101,14 @@ def test_weights_and_parts_of_parts(clock: Clock) -> None:
     moved(1.0)  # of nothing
 
 
+@pytest.mark.parametrize("weights", [[], [0.0, 0.0, 0.0, 0.0], [1.0], [5.0, 5.0, 5.0, 5.0]])
+def test_parts_without_weights_are_equal(weights: list[float]) -> None:
+    """Take a part for as long as another where there is no weight for each, or all are nothing."""
+    made = Stage("x", 4, 0.0, weights)
+    made.advance()
+    assert made.share() == 0.25
+
+
 def test_what_is_not_a_command(capsys: pytest.CaptureFixture[str]) -> None:
     """Pass items and results through where no command is entered."""
     assert list(each([1, 2], "reading")) == [1, 2]

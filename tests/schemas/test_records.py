@@ -20,7 +20,7 @@ from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from gpusimbench.schemas.messages import DESCRIPTOR_SETS, embedded_schema
-from gpusimbench.schemas.provenance import Deviation, Provenance, Simulation
+from gpusimbench.schemas.provenance import Deviation, Provenance, ReplayOf, Simulation
 from gpusimbench.schemas.topics import StateTopic, parse_state, state
 
 _FIELDS = tuple(body_field("cubes", name, "float64", ("a", "b")) for name in BODY_FIELDS)
@@ -104,11 +104,15 @@ def test_comments_travel_with_the_schema() -> None:
     assert any("[steps, envs, items, width]" in loc.leading_comments for loc in file.source_code_info.location)
 
 
-def test_provenance_round_trip() -> None:
+@pytest.mark.parametrize(
+    "replay_of", [None, ReplayOf("first", "hash"), ReplayOf("first", "hash", {"engine.cone": "x"})]
+)
+def test_provenance_round_trip(replay_of: ReplayOf | None) -> None:
     """Return what was written, and ignore keys of a later version."""
     provenance = Provenance(
         "id", "2026-01-01T00:00:00Z", ("gsb-record", "--sim"), _configuration(options={"cone": "elliptic"}),
         host={"cpu": "Modèle x"}, gpus=({"name": "g"},), software={"python": "3"}, environment={"XLA_FLAGS": "-x"},
+        replay_of=replay_of,
     )  # fmt: skip
     text = provenance.to_json()
     assert Provenance.from_json(text) == provenance

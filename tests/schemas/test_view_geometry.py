@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from copy import deepcopy
 from typing import Any
 
@@ -116,6 +117,22 @@ def test_nonsense(path: str, value: object, said: str) -> None:
     look_of({}, GOOD)
     with pytest.raises(DamagedRecording, match=said):
         look_of({}, changed(path, value))
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("bodies.3.shapes.0.shape", lambda far: {"kind": "box", "size": [far, 0, 1]}),
+        ("bodies.2.joints.0.anchor", lambda far: [0, -far, 0]),
+        ("bodies.2.position", lambda far: [0, 0, far]),
+        ("meshes.0.points", lambda far: [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, -far / 2]),
+    ],
+)
+def test_how_far_a_view_reaches(path: str, value: Callable[[float], object]) -> None:
+    """Read lengths up to a million metres, zero among them, and none beyond."""
+    look_of({}, changed(path, value(1e6)))
+    with pytest.raises(DamagedRecording, match="further than|a size that is not from 0 to 1e\\+06 m"):
+        look_of({}, changed(path, value(float(np.nextafter(1e6, 2e6)))))
 
 
 def test_no_more_triangles_than_are_drawn() -> None:

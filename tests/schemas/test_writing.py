@@ -44,6 +44,20 @@ def test_a_full_disk_leaves_the_earlier_file(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["result.json"]
 
 
+@pytest.mark.parametrize("durable", [True, False])
+def test_what_is_to_last_is_flushed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, durable: bool) -> None:
+    """Flush a file before it gets its name, and its folder afterwards; neither of what can be made again."""
+    flush, flushed = os.fsync, []
+
+    def noted(descriptor: int) -> None:
+        flushed.append((os.path.isdir(descriptor), (tmp_path / "a").exists()))
+        flush(descriptor)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    writing.write_file(tmp_path / "a", b"text", durable=durable)
+    assert flushed == ([(False, False), (True, True)] if durable else [])
+
+
 def test_several_files_are_one_result(tmp_path: Path) -> None:
     """Change none of them where the last one does not fit."""
     (tmp_path / "a").write_text("earlier")
