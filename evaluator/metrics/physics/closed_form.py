@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ellipkm1
 
 Array = npt.NDArray[np.float64]
-
-
-def agm(a: Array, b: Array) -> Array:
-    """Arithmetic-geometric mean, element by element; both positive."""
-    a, b = np.broadcast_arrays(np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64))
-    for _ in range(12):  # the number of right digits doubles each time
-        a, b = (a + b) / 2.0, np.sqrt(a * b)
-    return np.asarray(a)
 
 
 def pendulum_period(amplitude: Array, small: float) -> Array:
@@ -23,9 +16,9 @@ def pendulum_period(amplitude: Array, small: float) -> Array:
     small      period of small swings, 2 pi sqrt(I / (m g l)) [s]
 
     T = T0 2/pi K(sin(a/2)), with the complete elliptic integral of the first kind (Landau and Lifshitz, Mechanics,
-    section 11, problem 1), and K(k) = pi / (2 agm(1, sqrt(1 - k^2))), as Gauss found.
+    section 11, problem 1).
     """
-    return small / agm(np.ones_like(amplitude), np.cos(np.asarray(amplitude) / 2.0))
+    return np.asarray(small * 2.0 / np.pi * ellipkm1(np.cos(np.asarray(amplitude) / 2.0) ** 2))
 
 
 def sliding_acceleration(along: float, normal: float, gravity: float, friction: float) -> float:
