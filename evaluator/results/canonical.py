@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri, stdtrit
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
 
 POWER = 0.95
@@ -43,6 +44,7 @@ class Law:
     difference    measured minus predicted, mean over environments
     ci95          of the same, by Student's t; None with one environment
     held          whether the interval, or the mean without one, comes within the tolerance of zero
+    absent        why the other environments could not be measured; empty where all were
     """
 
     label: str
@@ -60,18 +62,41 @@ class Law:
     of: str
     held: bool
     sensitivities: tuple[Sensitivity, ...]
+    absent: str = ""
 
 
-def laws(label: str, facts: Sequence[PhysicsFacts]) -> tuple[Law, ...]:
+@dataclass(frozen=True)
+class Unmeasured:
+    """A law of one group that could not be measured, or all laws of its scene.
+
+    label, scene  of the group
+    key, title    of the law; of all laws of the scene, "" and "all laws of SCENE"
+    reason        why not
+    """
+
+    label: str
+    scene: str
+    key: str
+    title: str
+    reason: str
+
+
+def laws(label: str, facts: Sequence[PhysicsFacts]) -> tuple[Law | Unmeasured, ...]:
     """The laws of a group, from its usable runs: runs of one group begin alike, so environments are the sample."""
     by_key: dict[str, list[LawValues]] = {}
-    for values in (values for one in facts for values in one.laws):
-        by_key.setdefault(values.key, []).append(values)
+    reasons: dict[str, None] = {}
+    for one in facts:
+        if isinstance(one.laws, Missing):
+            reasons[one.laws.reason] = None
+            continue
+        for values in one.laws:
+            by_key.setdefault(values.key, []).append(values)
     scene = facts[0].scene if facts else ""
-    return tuple(law for found in by_key.values() if (law := _law(label, scene, found)) is not None)
+    unread = tuple(Unmeasured(label, scene, "", f"all laws of {scene}", reason) for reason in reasons)
+    return (*(_law(label, scene, found) for found in by_key.values()), *unread)
 
 
-def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | None:
+def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
     first = runs[0]
     alike = [run for run in runs if len(run.measured) == len(first.measured)]
     measured = np.mean([run.measured for run in alike], axis=0)
@@ -79,7 +104,7 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | None:
     there = np.isfinite(measured) & np.isfinite(predicted)
     count = int(there.sum())
     if not count:
-        return None
+        return Unmeasured(label, scene, first.key, first.title, first.absent)
     off = measured[there] - predicted[there]
     mean, error = float(off.mean()), standard_error(off)
     scale = float(np.abs(measured[there]).max(initial=0.0))
@@ -98,6 +123,7 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | None:
             Sensitivity(name, least_change(slope, tolerance if exact else error, exact=exact), exact)
             for name, slope in first.slopes
         ),
+        first.absent if count < len(first.measured) else "",
     )  # fmt: skip
 
 

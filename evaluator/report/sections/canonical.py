@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.canonical import Law, Sensitivity
+from gpusimbench.evaluator.results.canonical import Law, Sensitivity, Unmeasured
 
 _TITLES = ("simulator", "law", "envs", "measured", "predicted", "difference", "tolerance", "smallest change", "verdict")
 _HOW = (
@@ -22,10 +22,16 @@ def section(source: Source) -> Section | None:
     found = [law for result in source.shown for law in result.laws]
     if not found:
         return None
-    broken = sum(not law.held for law in found)
-    said = f"{broken} of {plural(len(found), 'law')} broken"
-    shown = Table("canonical", "", tuple(map(Column, _TITLES)), tuple(Row(_cells(law)) for law in found))
-    return Section("canonical", "Laws in closed form", (Text(_HOW), shown), said, folded=True)
+    measured = [law for law in found if isinstance(law, Law)]
+    broken = sum(not law.held for law in measured)
+    missing = [law for law in found if isinstance(law, Unmeasured)]
+    said = ", ".join(
+        [f"{broken} of {plural(len(measured), 'law')} broken"] * bool(measured)
+        + [f"{len(missing)} not measured"] * bool(missing)
+    )
+    shown = Table("canonical", "", tuple(map(Column, _TITLES)), tuple(Row(_cells(law)) for law in measured))
+    reasons = (Text(f"{law.label}: {law.title} not measured: {law.reason}.", Tone.QUIET) for law in missing)
+    return Section("canonical", "Laws in closed form", (Text(_HOW), shown, *reasons), said, folded=True)
 
 
 def _cells(law: Law) -> tuple[Cell, ...]:
@@ -35,8 +41,9 @@ def _cells(law: Law) -> tuple[Cell, ...]:
         off += f" [{law.ci95[0]:.3g}, {law.ci95[1]:.3g}]"
     changes = "; ".join(map(change, law.sensitivities))
     verdict = Cell("held", tone=Tone.GOOD) if law.held else Cell("BROKEN", tone=Tone.BAD)
+    envs = Cell(f"{law.count} of {law.of_envs}", law.count, notes=(law.absent,) if law.absent else ())
     return (
-        Cell(law.label), Cell(law.title + unit), Cell(f"{law.count} of {law.of_envs}", law.count),
+        Cell(law.label), Cell(law.title + unit), envs,
         Cell(f"{law.measured:.5g}", law.measured), Cell(f"{law.predicted:.5g}", law.predicted),
         Cell(off, law.difference), Cell(f"{law.tolerance:.3g}", law.tolerance, notes=(law.of,)),
         Cell(changes or NONE), verdict,
@@ -51,10 +58,16 @@ def change(one: Sensitivity) -> str:
     return f"{one.parameter} {size}"
 
 
-def sentence(laws: Sequence[Law]) -> str:
-    """The laws of one group in a sentence, which names those that are broken."""
-    broken = [law for law in laws if not law.held]
-    said = f"{laws[0].label}: {len(laws) - len(broken)} of {plural(len(laws), 'law')} in closed form held"
+def sentence(laws: Sequence[Law | Unmeasured]) -> str:
+    """The laws of one group in a sentence, which names those that are broken and those that were not measured."""
+    measured = [law for law in laws if isinstance(law, Law)]
+    broken = [law for law in measured if not law.held]
+    said = f"{laws[0].label}: {len(measured) - len(broken)} of {plural(len(measured), 'law')} in closed form held"
     units = [f" {law.unit}" if law.unit else "" for law in broken]
     off = [f"{x.title} {x.measured:.4g}{u}, predicted {x.predicted:.4g}{u}" for x, u in zip(broken, units, strict=True)]
-    return said + (f"; BROKEN: {'; '.join(off)}" if off else "")
+    missing = [f"{law.title}: {law.reason}" for law in laws if isinstance(law, Unmeasured)]
+    return (
+        said
+        + (f"; BROKEN: {'; '.join(off)}" if off else "")
+        + (f"; not measured: {'; '.join(missing)}" if missing else "")
+    )

@@ -104,6 +104,7 @@ class LawValues:
     tolerance  that the step may add to the mean on either side, by the formula `of`
     slopes     by parameter: the derivative of the predicted value, mean over environments, in `unit` for a share of 1
                of the parameter ("mass", "friction"), or for 1 N m s/rad ("damping"); 0 where it has no effect
+    absent     why an environment has no value; empty where each has one
     """
 
     key: str
@@ -114,6 +115,7 @@ class LawValues:
     tolerance: float
     of: str
     slopes: tuple[tuple[str, float], ...]
+    absent: str = ""
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,8 @@ class PhysicsFacts:
     envs      first and last environment of each range that was looked at
     facts     of every check, in their order; Missing where nothing can be said of the run
     revision  by whose tolerances
-    laws      of motions that are known in closed form; empty where the scene has none
+    laws      of motions that are known in closed form; empty where the scene has none, Missing where none could be
+              measured
     """
 
     scene: str
@@ -133,7 +136,7 @@ class PhysicsFacts:
     envs: tuple[tuple[int, int], ...]
     facts: Facts | Missing
     revision: Revision = NEWEST
-    laws: tuple[LawValues, ...] = ()
+    laws: tuple[LawValues, ...] | Missing = ()
 
     @property
     def looked_at(self) -> int:
