@@ -24,7 +24,7 @@ _ROUNDING = 1e-12  # share of a value below which environments do not spread
 class Sensitivity:
     """Of a law to one parameter.
 
-    parameter  "mass", "friction" (shares), "damping" (N m s/rad)
+    parameter  as of LawValues.slopes
     least      the smallest change that two recordings of these environments show with POWER; None: the law does not
                depend on it
     exact      the environments do not spread: the change is that which moves the mean by the tolerance

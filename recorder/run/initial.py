@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.run import draws
 from gpusimbench.recorder.run.draws import GRID
-from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.base import Body, Scene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
@@ -25,27 +27,39 @@ def states(
 
         to the linear velocity of every free body, along each axis, or along the one that the body is launched along, by
         the first of the three draws [m/s]
+        to the angular velocity of the free bodies that say so, times the body's share for each axis [rad/s]
         to the angle of every joint [rad], kept within its limits
 
     No body is moved, so that none penetrates another.
     """
     found, limits = [], scene.joint_limits()
-    launches = {(body.group, body.name): body.launch for body in scene.moving()}
+    bodies = {(body.group, body.name): body for body in scene.moving()}
     for place, (layout, array) in enumerate(zip(fields, first, strict=True)):
-        if layout.field not in ("linear_velocity", "qpos"):
+        drawn = draw(initial, seed, place, array.shape)
+        added = _added(layout.field, [bodies.get((layout.group, name)) for name in layout.items], drawn)
+        if added is None:
             found.append(array.copy())
             continue
-        added = draw(initial, seed, place, array.shape)
-        if layout.field == "linear_velocity":
-            for item, name in enumerate(layout.items):
-                if (launch := launches.get((layout.group, name))) is not None:
-                    added[:, item] = added[:, item, :1] * np.array(launch)
         given = array + added.astype(array.dtype)
         if layout.field == "qpos" and layout.group in limits:
             bounds = np.array(limits[layout.group], dtype=array.dtype)
             given = np.clip(given, bounds[:, :1], bounds[:, 1:])
         found.append(given.astype(array.dtype))
     return tuple(found)
+
+
+def _added(field: str, bodies: Sequence[Body | None], drawn: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """What is added of the drawn numbers [env, item, width] to a field of these bodies; None where it stays."""
+    if field == "qpos":
+        return drawn
+    if field == "linear_velocity":
+        for item, body in enumerate(bodies):
+            if body is not None and body.launch is not None:
+                drawn[:, item] = drawn[:, item, :1] * np.array(body.launch)
+        return drawn
+    if field == "angular_velocity" and any(body is not None and body.spin for body in bodies):
+        return np.asarray(drawn * np.array([(body and body.spin) or (0.0, 0.0, 0.0) for body in bodies]))
+    return None
 
 
 def draw(initial: Initial, seed: int, field: int, shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -112,6 +112,8 @@ class Body:
     angular_velocity  in the world frame [rad/s]
     launch            direction along which --initial draws the velocity, a unit vector of the world frame, or zero
                       where it draws none; None: along all axes
+    spin              share of the spread of --initial, read in rad/s, within which each component of the angular
+                      velocity is drawn, in the world frame; None: it is not drawn
     """
 
     name: str
@@ -124,6 +126,7 @@ class Body:
     linear_velocity: Vector = (0.0, 0.0, 0.0)
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     launch: Vector | None = None
+    spin: Vector | None = None
 
     @property
     def fixed(self) -> bool:

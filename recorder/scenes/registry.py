@@ -14,6 +14,7 @@ from gpusimbench.recorder.plugins import in_words
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.cube_toss import cube_toss
 from gpusimbench.recorder.scenes.franka import franka
+from gpusimbench.recorder.scenes.free_body import free_body
 from gpusimbench.recorder.scenes.free_fall import free_fall
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
 from gpusimbench.recorder.scenes.pendulum import pendulum
@@ -32,6 +33,7 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "cube-toss": cube_toss,
     "pendulum": pendulum,
     "sliding-block": sliding_block,
+    "free-body": free_body,
 }
 """The built-in ones."""
 

@@ -262,7 +262,7 @@ def test_checks_are_chosen_by_abilities() -> None:
         abilities = frozenset({Ability.FREE_BODIES, Ability.BOXES, Ability.PLANES})
 
     subject = Subject(OnlyBoxes, name="only-boxes")
-    assert [scene.name for scene in subject.scenes] == ["free-fall", "cube-toss", "sliding-block"]
+    assert [scene.name for scene in subject.scenes] == ["free-fall", "cube-toss", "sliding-block", "free-body"]
     CHECK["registered_scenes_start_as_described"](subject)
     with pytest.raises(NotApplicable, match="cannot simulate scene 'conformance': it has no spheres"):
         CHECK["ball_rolls_down_the_slope"](subject)
@@ -309,9 +309,9 @@ def test_few_builds() -> None:
         except NotApplicable:
             continue
     assert (built.count("conformance"), built.count("varied")) == (3, 3)
-    scenes = ("cube-toss", "franka", "free-fall", "inclined-collision", "pendulum", "sliding-block")
+    scenes = ("cube-toss", "franka", "free-body", "free-fall", "inclined-collision", "pendulum", "sliding-block")
     assert sorted(set(built)) == ["conformance", *scenes, "varied"]
-    assert len(built) == 3 + 6 + 1 + 3
+    assert len(built) == 3 + len(scenes) + 1 + 3
 
 
 def test_a_build_that_fails_is_not_tried_again() -> None:

@@ -10,6 +10,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.canonical import Law, Sensitivity, Unmeasured
 
 _TITLES = ("simulator", "law", "envs", "measured", "predicted", "difference", "tolerance", "smallest change", "verdict")
+_UNITS = {"damping": "N m s/rad", "angular damping": "1/s"}  # of parameters whose change is no share
 _HOW = (
     "Difference: measured minus predicted, mean over environments, with its 95 % interval. Held: the interval comes "
     "within the tolerance of zero. Smallest change: of a parameter of the engine, which two recordings of these "
@@ -54,7 +55,8 @@ def change(one: Sensitivity) -> str:
     """A sensitivity in words."""
     if one.least is None:
         return f"insensitive to {one.parameter}"
-    size = f"{one.least:.2g} N m s/rad" if one.parameter == "damping" else f"{100 * one.least:.2g} %"
+    unit = _UNITS.get(one.parameter)
+    size = f"{one.least:.2g} {unit}" if unit else f"{100 * one.least:.2g} %"
     return f"{one.parameter} {size}"
 
 

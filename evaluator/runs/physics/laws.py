@@ -7,6 +7,7 @@ from collections.abc import Callable
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.canonical.blocks import block_laws
+from gpusimbench.evaluator.runs.physics.canonical.free_body import free_body_laws
 from gpusimbench.evaluator.runs.physics.canonical.pendulum import pendulum_laws
 from gpusimbench.evaluator.runs.physics.facts import LawValues
 from gpusimbench.schemas.errors import DamagedRecording
@@ -15,6 +16,7 @@ from gpusimbench.schemas.provenance import REAL
 _LAWS: dict[str, Callable[[Recording], tuple[LawValues, ...] | Missing]] = {
     "pendulum": pendulum_laws,
     "sliding-block": block_laws,
+    "free-body": free_body_laws,
 }
 """By scene: its laws, or why none can be measured."""
 
