@@ -41,10 +41,13 @@ class Law:
 
     label, scene  of the group
     count         environments that could be measured, of `of_envs`; each is the mean over runs
-    difference    measured minus predicted, mean over environments
-    ci95          of the same, by Student's t; None with one environment
-    held          whether the interval, or the mean without one, comes within the tolerance of zero
+    difference    measured minus predicted, mean over environments; None where nothing is predicted
+    ci95          of the same, or of the measured value, by Student's t; None with one environment
+    held          whether the interval, or the mean without one, comes within the tolerance of zero; None
+                  without a prediction
+    spread        standard deviation of what the interval is of, over environments
     absent        why the other environments could not be measured; empty where all were
+    unjudged      why there is no prediction, and so no verdict; empty where there is
     """
 
     label: str
@@ -55,14 +58,16 @@ class Law:
     count: int
     of_envs: int
     measured: float
-    predicted: float
-    difference: float
+    predicted: float | None
+    difference: float | None
     ci95: tuple[float, float] | None
     tolerance: float
     of: str
-    held: bool
+    held: bool | None
     sensitivities: tuple[Sensitivity, ...]
+    spread: float
     absent: str = ""
+    unjudged: str = ""
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,10 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
     first = runs[0]
     alike = [run for run in runs if len(run.measured) == len(first.measured)]
     measured = np.mean([run.measured for run in alike], axis=0)
-    predicted = np.mean([run.predicted for run in alike], axis=0)
+    told = [run.predicted for run in alike if not isinstance(run.predicted, Missing)]
+    judged = len(told) == len(alike)
+    # without a prediction, the interval is that of the measured value
+    predicted = np.mean(told, axis=0) if judged else np.zeros_like(measured)
     there = np.isfinite(measured) & np.isfinite(predicted)
     count = int(there.sum())
     if not count:
@@ -117,13 +125,15 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
     tolerance = max(run.tolerance for run in alike)
     return Law(
         label, scene, first.key, first.title, first.unit, count, len(first.measured),
-        float(measured[there].mean()), float(predicted[there].mean()), mean, ci95, tolerance, first.of,
-        low <= tolerance and high >= -tolerance,
+        float(measured[there].mean()), float(predicted[there].mean()) if judged else None, mean if judged else None,
+        ci95, tolerance, first.of, (low <= tolerance and high >= -tolerance) if judged else None,
         tuple(
             Sensitivity(name, least_change(slope, tolerance if exact else error, exact=exact), exact)
             for name, slope in first.slopes
         ),
+        error * math.sqrt(count),
         first.absent if count < len(first.measured) else "",
+        next((run.predicted.reason for run in alike if isinstance(run.predicted, Missing)), ""),
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from importlib import metadata
 
 from gpusimbench.recorder.plugins import in_words
+from gpusimbench.recorder.scenes.ball_drop import ball_drop
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.cube_toss import cube_toss
 from gpusimbench.recorder.scenes.franka import franka
@@ -34,6 +35,7 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "pendulum": pendulum,
     "sliding-block": sliding_block,
     "free-body": free_body,
+    "ball-drop": ball_drop,
 }
 """The built-in ones."""
 

@@ -52,3 +52,8 @@ def rotation_period(moments: Array, spin: Array) -> Array:
     larger = np.maximum(inner, outer)
     complement = (i3 - i1) * np.abs(squared - twice_energy * i2) / larger  # 1 - k^2, without the loss of a difference
     return np.asarray(4.0 * ellipkm1(complement) * np.sqrt(i1 * i2 * i3 / larger))
+
+
+def falling_time(height: Array, speed: Array, gravity: float) -> Array:
+    """Until a body that is thrown upward with `speed` [m/s] from `height` [m] has fallen to zero [s]."""
+    return np.asarray((speed + np.sqrt(speed**2 + 2.0 * gravity * height)) / gravity)

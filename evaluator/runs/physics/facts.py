@@ -100,11 +100,12 @@ class LawValues:
     title      as tables show it
     unit       of the values
     measured   by environment; NaN where the motion did not take place
-    predicted  by environment, in closed form
+    predicted  by environment, in closed form; Missing where the engine was not told what decides it: it is measured
+               without a verdict
     tolerance  that the step may add to the mean on either side, by the formula `of`
     slopes     by parameter: the derivative of the predicted value, mean over environments, in `unit` for a share of 1
-               of the parameter ("mass", "middle moment", "friction"), or for 1 N m s/rad of a joint's ("damping") or
-               1/s of a body's ("angular damping"); 0 where it has no effect
+               of the parameter ("mass", "middle moment", "friction", "restitution", "gravity"), or for 1 N m s/rad of a
+               joint's ("damping") or 1/s of a body's ("angular damping"); 0 where it has no effect
     absent     why an environment has no value; empty where each has one
     """
 
@@ -112,7 +113,7 @@ class LawValues:
     title: str
     unit: str
     measured: tuple[float, ...]
-    predicted: tuple[float, ...]
+    predicted: tuple[float, ...] | Missing
     tolerance: float
     of: str
     slopes: tuple[tuple[str, float], ...]

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.physics.canonical.ball_drop import ball_laws
 from gpusimbench.evaluator.runs.physics.canonical.blocks import block_laws
 from gpusimbench.evaluator.runs.physics.canonical.free_body import free_body_laws
 from gpusimbench.evaluator.runs.physics.canonical.pendulum import pendulum_laws
@@ -17,6 +18,7 @@ _LAWS: dict[str, Callable[[Recording], tuple[LawValues, ...] | Missing]] = {
     "pendulum": pendulum_laws,
     "sliding-block": block_laws,
     "free-body": free_body_laws,
+    "ball-drop": ball_laws,
 }
 """By scene: its laws, or why none can be measured."""
 
