@@ -28,7 +28,7 @@ def states(
         to the linear velocity of every free body, along each axis, or along the one that the body is launched along, by
         the first of the three draws [m/s]
         to the angular velocity of the free bodies that say so, times the body's share for each axis [rad/s]
-        to the angle of every joint [rad], kept within its limits
+        to the angle of every joint [rad], times the joint's share where the robot has any, kept within its limits
 
     No body is moved, so that none penetrates another.
     """
@@ -36,6 +36,8 @@ def states(
     bodies = {(body.group, body.name): body for body in scene.moving()}
     for place, (layout, array) in enumerate(zip(fields, first, strict=True)):
         drawn = draw(initial, seed, place, array.shape)
+        if layout.field == "qpos" and scene.robot is not None and scene.robot.drawn is not None:
+            drawn *= np.array(scene.robot.drawn)[:, None]
         added = _added(layout.field, [bodies.get((layout.group, name)) for name in layout.items], drawn)
         if added is None:
             found.append(array.copy())

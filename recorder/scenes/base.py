@@ -211,6 +211,7 @@ class Robot:
     links     parents before children
     start     initial joint angles [rad], in the order of the joints
     apart     pairs of links that never collide though they are not parent and child: their shapes overlap by design
+    drawn     share of the spread of --initial within which each joint's angle is drawn; None: all of it
     """
 
     name: str
@@ -218,6 +219,7 @@ class Robot:
     start: tuple[float, ...]
     material: Material
     apart: tuple[tuple[str, str], ...] = ()
+    drawn: tuple[float, ...] | None = None
 
     def joints(self) -> tuple[Hinge, ...]:
         """The joints in order: the order of qpos, qvel and actions."""

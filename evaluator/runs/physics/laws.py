@@ -8,6 +8,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.canonical.ball_drop import ball_laws
 from gpusimbench.evaluator.runs.physics.canonical.blocks import block_laws
+from gpusimbench.evaluator.runs.physics.canonical.double_pendulum import double_pendulum_laws
 from gpusimbench.evaluator.runs.physics.canonical.free_body import free_body_laws
 from gpusimbench.evaluator.runs.physics.canonical.pendulum import pendulum_laws
 from gpusimbench.evaluator.runs.physics.facts import LawValues
@@ -19,6 +20,7 @@ _LAWS: dict[str, Callable[[Recording], tuple[LawValues, ...] | Missing]] = {
     "sliding-block": block_laws,
     "free-body": free_body_laws,
     "ball-drop": ball_laws,
+    "double-pendulum": double_pendulum_laws,
 }
 """By scene: its laws, or why none can be measured."""
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.states import MOST_ENVS, States, Walk, drawn_envs
+from gpusimbench.evaluator.runs.physics.states import States, Walk, drawn_envs
 
 Array = npt.NDArray[np.float64]
 
@@ -29,7 +29,7 @@ def joints_of(recording: Recording) -> tuple[Array, Array, Array] | Missing:
     angles, speeds = (recording.state("robot", field) for field in ("qpos", "qvel"))
     if len(angles) < 2 or len(speeds) != len(angles):
         return _FEW
-    if len(angles) * MOST_ENVS * len(angles.field.items) > _MOST_NUMBERS:
+    if len(angles) * _count(recording) * len(angles.field.items) > _MOST_NUMBERS:
         return _MANY
     angle, speed = (
         np.concatenate(
@@ -49,7 +49,7 @@ def bodies_of(recording: Recording) -> tuple[Walk, States, Array] | Missing:
         return Missing("no positions in three dimensions were recorded")
     if len(walk) < 2:
         return _FEW
-    if len(walk) * MOST_ENVS * len(walk.items) > _MOST_NUMBERS:
+    if len(walk) * _count(recording) * len(walk.items) > _MOST_NUMBERS:
         return _MANY
     states = walk.rows(0, len(walk))
     parts = (states.position, states.orientation, states.linear, states.angular)
@@ -78,3 +78,7 @@ def cycles(time: Array, value: Array) -> tuple[float, int]:
 
 def _drawn(recording: Recording) -> tuple[tuple[int, int], ...]:
     return drawn_envs(recording.configuration.n_env)
+
+
+def _count(recording: Recording) -> int:
+    return sum(last - first + 1 for first, last in _drawn(recording))
