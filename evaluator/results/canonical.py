@@ -11,11 +11,13 @@ import numpy.typing as npt
 from scipy.special import ndtri, stdtrit
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
+from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues, PhysicsFacts
+from gpusimbench.evaluator.statistics.counts import FEWEST, uniformity
 
 POWER = 0.95
 """With which the smallest change is detected, by a two-sided test of 5 %."""
 
+_ALPHA = 0.05
 _Z = float(ndtri(0.975) + ndtri(POWER))
 _ROUNDING = 1e-12  # share of a value below which environments do not spread
 
@@ -48,6 +50,9 @@ class Law:
     spread        standard deviation of what the interval is of, over environments
     absent        why the other environments could not be measured; empty where all were
     unjudged      why there is no prediction, and so no verdict; empty where there is
+    p             of the chi-squared test, where the law says that outcomes are equally likely: `count` of `of_envs`
+                  throws had an outcome, `measured` is the statistic, `predicted` its degrees of freedom, and it holds
+                  where the statistic is below its 95 % point
     """
 
     label: str
@@ -68,6 +73,7 @@ class Law:
     spread: float
     absent: str = ""
     unjudged: str = ""
+    p: float | None = None
 
 
 @dataclass(frozen=True)
@@ -89,16 +95,35 @@ class Unmeasured:
 def laws(label: str, facts: Sequence[PhysicsFacts]) -> tuple[Law | Unmeasured, ...]:
     """The laws of a group, from its usable runs: runs of one group begin alike, so environments are the sample."""
     by_key: dict[str, list[LawValues]] = {}
+    counted: dict[str, LawCounts] = {}
     reasons: dict[str, None] = {}
     for one in facts:
         if isinstance(one.laws, Missing):
             reasons[one.laws.reason] = None
             continue
         for values in one.laws:
-            by_key.setdefault(values.key, []).append(values)
+            if isinstance(values, LawCounts):
+                counted.setdefault(values.key, values)  # runs that begin alike are no further throws
+            else:
+                by_key.setdefault(values.key, []).append(values)
     scene = facts[0].scene if facts else ""
     unread = tuple(Unmeasured(label, scene, "", f"all laws of {scene}", reason) for reason in reasons)
-    return (*(_law(label, scene, found) for found in by_key.values()), *unread)
+    measured = [_law(label, scene, found) for found in by_key.values()]
+    return (*measured, *(_uniform(label, scene, found) for found in counted.values()), *unread)
+
+
+def _uniform(label: str, scene: str, found: LawCounts) -> Law | Unmeasured:
+    test = uniformity(found.counts, alpha=_ALPHA, power=POWER)
+    if test is None:
+        reason = f"{sum(found.counts)} of {found.of} throws have an outcome, and {FEWEST:g} are needed for each outcome"
+        return Unmeasured(label, scene, found.key, found.title, reason)
+    count = sum(found.counts)
+    return Law(
+        label, scene, found.key, found.title, "", count, found.of, test.statistic, float(test.degrees),
+        test.statistic - test.degrees, None, test.critical - test.degrees, f"95 % of chi-squared; p = {test.p:.2g}",
+        test.statistic <= test.critical, (Sensitivity("probability of a face", test.least, False),), 0.0,
+        found.absent if count < found.of else "", p=test.p,
+    )  # fmt: skip
 
 
 def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:

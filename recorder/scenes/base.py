@@ -114,6 +114,7 @@ class Body:
                       where it draws none; None: along all axes
     spin              share of the spread of --initial, read in rad/s, within which each component of the angular
                       velocity is drawn, in the world frame; None: it is not drawn
+    turned            whether --initial draws the orientation, uniformly over all rotations; None: it does not
     """
 
     name: str
@@ -127,6 +128,7 @@ class Body:
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     launch: Vector | None = None
     spin: Vector | None = None
+    turned: bool | None = None
 
     @property
     def fixed(self) -> bool:

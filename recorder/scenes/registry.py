@@ -14,6 +14,7 @@ from gpusimbench.recorder.plugins import in_words
 from gpusimbench.recorder.scenes.ball_drop import ball_drop
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.cube_toss import cube_toss
+from gpusimbench.recorder.scenes.dice_drop import dice_drop
 from gpusimbench.recorder.scenes.double_pendulum import double_pendulum
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.free_body import free_body
@@ -38,6 +39,7 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "free-body": free_body,
     "ball-drop": ball_drop,
     "double-pendulum": double_pendulum,
+    "dice-drop": dice_drop,
 }
 """The built-in ones."""
 

@@ -263,7 +263,13 @@ def test_checks_are_chosen_by_abilities() -> None:
         abilities = frozenset({Ability.FREE_BODIES, Ability.BOXES, Ability.PLANES})
 
     subject = Subject(OnlyBoxes, name="only-boxes")
-    assert [scene.name for scene in subject.scenes] == ["free-fall", "cube-toss", "sliding-block", "free-body"]
+    assert [scene.name for scene in subject.scenes] == [
+        "free-fall",
+        "cube-toss",
+        "sliding-block",
+        "free-body",
+        "dice-drop",
+    ]
     CHECK["registered_scenes_start_as_described"](subject)
     with pytest.raises(NotApplicable, match="cannot simulate scene 'conformance': it has no spheres"):
         CHECK["ball_rolls_down_the_slope"](subject)

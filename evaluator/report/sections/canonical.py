@@ -16,7 +16,8 @@ _HOW = (
     "within the tolerance of zero. No verdict: nothing that the engine was given predicts the value, whose own "
     "interval and standard deviation (sd) over environments are shown. Smallest change: of a parameter of the engine, "
     "which two recordings of these environments, before and after the change, tell apart in 95 of 100 cases "
-    "(two-sided test, 5 %)."
+    "(two-sided test, 5 %). A law of counts has the chi-squared statistic of Pearson's test as its value, the degrees "
+    "of freedom as its prediction, and the number of throws instead of environments."
 )
 
 

@@ -121,6 +121,24 @@ class LawValues:
 
 
 @dataclass(frozen=True)
+class LawCounts:
+    """One law in one run that says that all outcomes of a throw are equally likely.
+
+    key     for JSON
+    title   as tables show it
+    counts  of each outcome, over all environments
+    of      throws, those without an outcome included
+    absent  why a throw has no outcome
+    """
+
+    key: str
+    title: str
+    counts: tuple[int, ...]
+    of: int
+    absent: str
+
+
+@dataclass(frozen=True)
 class PhysicsFacts:
     """All that was measured of one run.
 
@@ -138,7 +156,7 @@ class PhysicsFacts:
     envs: tuple[tuple[int, int], ...]
     facts: Facts | Missing
     revision: Revision = NEWEST
-    laws: tuple[LawValues, ...] | Missing = ()
+    laws: tuple[LawValues | LawCounts, ...] | Missing = ()
 
     @property
     def looked_at(self) -> int:

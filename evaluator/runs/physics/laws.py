@@ -8,26 +8,28 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.canonical.ball_drop import ball_laws
 from gpusimbench.evaluator.runs.physics.canonical.blocks import block_laws
+from gpusimbench.evaluator.runs.physics.canonical.dice import dice_laws
 from gpusimbench.evaluator.runs.physics.canonical.double_pendulum import double_pendulum_laws
 from gpusimbench.evaluator.runs.physics.canonical.free_body import free_body_laws
 from gpusimbench.evaluator.runs.physics.canonical.pendulum import pendulum_laws
-from gpusimbench.evaluator.runs.physics.facts import LawValues
+from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.provenance import REAL
 
-_LAWS: dict[str, Callable[[Recording], tuple[LawValues, ...] | Missing]] = {
+_LAWS: dict[str, Callable[[Recording], tuple[LawValues | LawCounts, ...] | Missing]] = {
     "pendulum": pendulum_laws,
     "sliding-block": block_laws,
     "free-body": free_body_laws,
     "ball-drop": ball_laws,
     "double-pendulum": double_pendulum_laws,
+    "dice-drop": dice_laws,
 }
 """By scene: its laws, or why none can be measured."""
 
 _KEPT = {"mass", "shift", "but"}  # of --vary: what does not change any law, and how it is drawn
 
 
-def laws_of(recording: Recording) -> tuple[LawValues, ...] | Missing:
+def laws_of(recording: Recording) -> tuple[LawValues | LawCounts, ...] | Missing:
     """The laws of a canonical scene, or why none can be measured; empty for other scenes and for model files.
 
     Raises DamagedRecording where the file does not hold what it should.

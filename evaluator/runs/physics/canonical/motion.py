@@ -58,6 +58,20 @@ def bodies_of(recording: Recording) -> tuple[Walk, States, Array] | Missing:
     return walk, states, (states.step - states.step[0]) * recording.configuration.dt
 
 
+def ending_of(recording: Recording) -> tuple[Walk, States] | Missing:
+    """Names and last state of the moving bodies in all environments, or, of very many, in those that are looked at."""
+    walk = Walk(recording, ((0, recording.configuration.n_env - 1),))
+    if recording.configuration.n_env * len(walk.items) > _MOST_NUMBERS:
+        walk = Walk(recording, _drawn(recording))
+    if not walk.groups:
+        return Missing("no positions in three dimensions were recorded")
+    if len(walk) < 2:
+        return _FEW
+    states = walk.rows(len(walk) - 1, len(walk))
+    parts = (states.position, states.orientation, states.linear, states.angular)
+    return (walk, states) if finite(*(part for part in parts if part is not None)) else _NOT_FINITE
+
+
 def finite(*arrays: Array) -> bool:
     """Whether every number is one of a motion."""
     return all(bool((np.abs(array) <= _BLOWN).all()) for array in arrays)
