@@ -196,6 +196,7 @@ def test_an_engine_is_held_to_the_restitution_that_it_was_given(tmp_path: Path) 
         assert least["mass"] is None and 0 < least["restitution"] < 0.2
 
 
+@pytest.mark.slow
 def test_a_stride_hides_a_bounce(tmp_path: Path) -> None:
     """Say that a contact is shorter than the time between two states."""
     done = call("gsb-record", *_COMMON, "--scene", "ball-drop", "--stride", "5", "--out", tmp_path)

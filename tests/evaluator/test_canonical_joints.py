@@ -74,6 +74,7 @@ def test_the_default_integrator_gives_a_large_swing_energy(tmp_path: Path) -> No
     assert isinstance(small, Law) and small.held
 
 
+@pytest.mark.slow
 def test_a_short_recording_says_what_it_lacks(tmp_path: Path) -> None:
     """Name the time that is too short for energies and periods."""
     path, found = _laws(tmp_path, "--steps", "50")
