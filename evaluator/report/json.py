@@ -19,6 +19,7 @@ from gpusimbench.evaluator.report.evidence_json import (
 )
 from gpusimbench.evaluator.report.fidelity import fidelity_record
 from gpusimbench.evaluator.report.timed import timed_record
+from gpusimbench.evaluator.results.canonical import Law, Unmeasured
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.evaluation import SCHEMA_VERSION, Evaluation
 from gpusimbench.evaluator.results.faults import faults
@@ -118,10 +119,15 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "faults": faults_record(faults(result)),
         "divergence": divergence_records(result),
         "physics": fidelity_record(result.fidelity),
-        "laws": [{**vars(law), "sensitivities": [vars(one) for one in law.sensitivities]} for law in result.laws],
+        "laws": [_law(law) for law in result.laws if isinstance(law, Law)],
+        "laws_missing": [vars(law) for law in result.laws if isinstance(law, Unmeasured)],
         "deviations": [vars(d) for d in _deviations(result)],
         "notes": list(result.notes),
     }
+
+
+def _law(law: Law) -> dict[str, Any]:
+    return {**vars(law), "sensitivities": [vars(one) for one in law.sensitivities]}
 
 
 def _validity(validity: Validity) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import Density, HexGrid
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.results.canonical import Law
+from gpusimbench.evaluator.results.canonical import Law, Unmeasured
 from gpusimbench.evaluator.results.fidelity import Fidelity
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.timed_work import TimedWork
@@ -55,7 +55,7 @@ class GroupResult:
     cloud            None where no states were recorded at the sample step
     validity         contacts, buffers, overflow, actions
     fidelity         whether the states keep to mechanics
-    laws             of motions that are known in closed form
+    laws             of motions that are known in closed form, or why they could not be measured
     notes            sentences that a reader must see beside the numbers
     footnotes        on its label: protocol and environment variables that differ from the others of its scene
     spreads          of the complete runs
@@ -72,7 +72,7 @@ class GroupResult:
     spreads: tuple[RunSpread, ...] = ()
     timed: TimedWork = TimedWork()
     footnotes: tuple[str, ...] = ()
-    laws: tuple[Law, ...] = ()
+    laws: tuple[Law | Unmeasured, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.run import draws
 from gpusimbench.recorder.run.draws import GRID
-from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.base import Body, Scene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.treatment import MOST_SPREAD, Initial
 
 _STREAM = 0x494E4954  # tells these words from those of actions, which the same seed draws
+_TURNS = 0x5455524E  # the same of the words of orientations
+_TRIES = 32  # pairs, of which 1 in 4.7 lies outside the circle
 
 
 def states(
@@ -25,27 +29,62 @@ def states(
 
         to the linear velocity of every free body, along each axis, or along the one that the body is launched along, by
         the first of the three draws [m/s]
-        to the angle of every joint [rad], kept within its limits
+        to the angular velocity of the free bodies that say so, times the body's share for each axis [rad/s]
+        to the angle of every joint [rad], times the joint's share where the robot has any, kept within its limits
 
-    No body is moved, so that none penetrates another.
+    Bodies that say so get an orientation instead, uniform over all rotations (``orientations``). No body is moved, so
+    that none penetrates another.
     """
     found, limits = [], scene.joint_limits()
-    launches = {(body.group, body.name): body.launch for body in scene.moving()}
+    bodies = {(body.group, body.name): body for body in scene.moving()}
     for place, (layout, array) in enumerate(zip(fields, first, strict=True)):
-        if layout.field not in ("linear_velocity", "qpos"):
+        here = [bodies.get((layout.group, name)) for name in layout.items]
+        if layout.field == "orientation":
+            turned = np.array([body is not None and bool(body.turned) for body in here])[:, None]
+            given = orientations(initial, seed, place, array.shape[:2]) if turned.any() else array
+            found.append(np.where(turned, given, array).astype(array.dtype))
+            continue
+        drawn = draw(initial, seed, place, array.shape)
+        if layout.field == "qpos" and scene.robot is not None and scene.robot.drawn is not None:
+            drawn *= np.array(scene.robot.drawn)[:, None]
+        added = _added(layout.field, here, drawn)
+        if added is None:
             found.append(array.copy())
             continue
-        added = draw(initial, seed, place, array.shape)
-        if layout.field == "linear_velocity":
-            for item, name in enumerate(layout.items):
-                if (launch := launches.get((layout.group, name))) is not None:
-                    added[:, item] = added[:, item, :1] * np.array(launch)
         given = array + added.astype(array.dtype)
         if layout.field == "qpos" and layout.group in limits:
             bounds = np.array(limits[layout.group], dtype=array.dtype)
             given = np.clip(given, bounds[:, :1], bounds[:, 1:])
         found.append(given.astype(array.dtype))
     return tuple(found)
+
+
+def _added(field: str, bodies: Sequence[Body | None], drawn: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """What is added of the drawn numbers [env, item, width] to a field of these bodies; None where it stays."""
+    if field == "qpos":
+        return drawn
+    if field == "linear_velocity":
+        for item, body in enumerate(bodies):
+            if body is not None and body.launch is not None:
+                drawn[:, item] = drawn[:, item, :1] * np.array(body.launch)
+        return drawn
+    if field == "angular_velocity" and any(body is not None and body.spin for body in bodies):
+        return np.asarray(drawn * np.array([(body and body.spin) or (0.0, 0.0, 0.0) for body in bodies]))
+    return None
+
+
+def orientations(initial: Initial, seed: int, field: int, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Unit quaternions wxyz, uniform over all rotations, of this shape [env, item] and 4, the same on every machine.
+
+    Of two points a and b in the unit circle, the quaternion is (a, b sqrt((1 - |a|^2) / |b|^2)) (Marsaglia, "Choosing a
+    point from the surface of a sphere", 1972). Each is the first of 32 points, drawn in the square around the circle.
+    """
+    pairs = draws.draw(initial, 1.0, seed=seed, stream=_TURNS, field=field, shape=(*shape, 2, _TRIES, 2))
+    squared = (pairs**2).sum(axis=-1)
+    first = ((squared < 1.0) & (squared > 0.0)).argmax(axis=-1)[..., None]
+    points = np.take_along_axis(pairs, first[..., None], axis=-2)[..., 0, :]
+    one, other = np.moveaxis(np.take_along_axis(squared, first, axis=-1), -2, 0)
+    return np.concatenate([points[..., 0, :], points[..., 1, :] * np.sqrt((1.0 - one) / other)], axis=-1)
 
 
 def draw(initial: Initial, seed: int, field: int, shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -112,6 +112,9 @@ class Body:
     angular_velocity  in the world frame [rad/s]
     launch            direction along which --initial draws the velocity, a unit vector of the world frame, or zero
                       where it draws none; None: along all axes
+    spin              share of the spread of --initial, read in rad/s, within which each component of the angular
+                      velocity is drawn, in the world frame; None: it is not drawn
+    turned            whether --initial draws the orientation, uniformly over all rotations; None: it does not
     """
 
     name: str
@@ -124,6 +127,8 @@ class Body:
     linear_velocity: Vector = (0.0, 0.0, 0.0)
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     launch: Vector | None = None
+    spin: Vector | None = None
+    turned: bool | None = None
 
     @property
     def fixed(self) -> bool:
@@ -208,6 +213,7 @@ class Robot:
     links     parents before children
     start     initial joint angles [rad], in the order of the joints
     apart     pairs of links that never collide though they are not parent and child: their shapes overlap by design
+    drawn     share of the spread of --initial within which each joint's angle is drawn; None: all of it
     """
 
     name: str
@@ -215,6 +221,7 @@ class Robot:
     start: tuple[float, ...]
     material: Material
     apart: tuple[tuple[str, str], ...] = ()
+    drawn: tuple[float, ...] | None = None
 
     def joints(self) -> tuple[Hinge, ...]:
         """The joints in order: the order of qpos, qvel and actions."""

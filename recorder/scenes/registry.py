@@ -11,9 +11,13 @@ from collections.abc import Callable, Mapping
 from importlib import metadata
 
 from gpusimbench.recorder.plugins import in_words
+from gpusimbench.recorder.scenes.ball_drop import ball_drop
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.cube_toss import cube_toss
+from gpusimbench.recorder.scenes.dice_drop import dice_drop
+from gpusimbench.recorder.scenes.double_pendulum import double_pendulum
 from gpusimbench.recorder.scenes.franka import franka
+from gpusimbench.recorder.scenes.free_body import free_body
 from gpusimbench.recorder.scenes.free_fall import free_fall
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
 from gpusimbench.recorder.scenes.pendulum import pendulum
@@ -32,6 +36,10 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "cube-toss": cube_toss,
     "pendulum": pendulum,
     "sliding-block": sliding_block,
+    "free-body": free_body,
+    "ball-drop": ball_drop,
+    "double-pendulum": double_pendulum,
+    "dice-drop": dice_drop,
 }
 """The built-in ones."""
 

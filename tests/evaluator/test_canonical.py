@@ -16,9 +16,10 @@ from scipy.special import ndtr
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.metrics.physics.closed_form import pendulum_period, stopping_distance
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
-from gpusimbench.evaluator.results.canonical import laws, least_change
+from gpusimbench.evaluator.results.canonical import Law, Unmeasured, laws, least_change
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of
 from tests.conftest import call
@@ -118,10 +119,10 @@ def test_laws_are_printed(recorded: dict[str, Path]) -> None:
 
 @pytest.mark.parametrize(("name", "array"), [("pendulum", "qpos"), ("pendulum", "qvel"), ("blocks", "linear")])
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e300])
-def test_a_run_that_blew_up_has_no_laws(
+def test_a_run_that_blew_up_says_why_it_has_no_laws(
     recorded: dict[str, Path], monkeypatch: pytest.MonkeyPatch, name: str, array: str, value: float
 ) -> None:
-    """Say nothing, and fail at nothing, where one number is that of no motion."""
+    """Give the reason, and fail at nothing, where one number is that of no motion."""
 
     def spoiled(read: Callable[..., Any]) -> Callable[..., Any]:
         def made(self: StateArray, *at: Any) -> Any:
@@ -134,8 +135,32 @@ def test_a_run_that_blew_up_has_no_laws(
 
     with monkeypatch.context() as patch:
         patch.setattr(StateArray, "read", spoiled(StateArray.read))
-        assert laws_of(Recording(recorded[name])) == ()
+        assert laws_of(Recording(recorded[name])) == Missing("states are not finite")
     assert laws_of(Recording(recorded[name]))
+
+
+@pytest.mark.parametrize(
+    ("asked", "why"),
+    [
+        (("--scene", "pendulum", "--steps", "20"), "period of the pendulum: no whole period was recorded"),
+        (
+            ("--scene", "sliding-block", "--steps", "40", "--stride", "40"),
+            "fewer than 6 states were recorded after 0.1 s",
+        ),
+        (("--scene", "pendulum", "--steps", "20", "--vary", "friction:0.1"), "other parameters than the scene"),
+        (("--scene", "pendulum", "--steps", "20", "--intervene", "reset@10"), "environments were changed on the way"),
+    ],
+)
+def test_a_law_that_is_not_measured_says_why(tmp_path: Path, asked: tuple[str, ...], why: str) -> None:
+    """Print the reason on the first page, in the table and in the JSON, where a recording is too short or changed."""
+    done = call("gsb-record", *_COMMON, *asked, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    path = done.stdout.split()[0]
+    for more in ((), ("--all",)):
+        assert why.rpartition(": ")[2] in " ".join(call("gsb-eval", path, *more).stdout.split())
+    (group,) = json.loads(call("gsb-eval", path, "--json", "-").stdout)["groups"]
+    assert group["laws"] == [] and group["laws_missing"]
+    assert any(why in f"{law['title']}: {law['reason']}" for law in group["laws_missing"])
 
 
 def _values(measured: list[float], predicted: float = 1.0, slope: float = 2.0) -> PhysicsFacts:
@@ -148,6 +173,7 @@ def _values(measured: list[float], predicted: float = 1.0, slope: float = 2.0) -
         0.01,
         "none",
         (("friction", slope), ("mass", 0.0)),
+        "it did not move",
     )
     return PhysicsFacts("pendulum", len(measured), ((0, len(measured) - 1),), {}, laws=(law,))
 
@@ -156,10 +182,18 @@ def test_a_planted_error_is_broken_and_none_is_held() -> None:
     """Tell a shift of ten standard errors beyond the tolerance from none; leave out what did not take place."""
     noise = np.random.default_rng(1).normal(0.0, 0.001, 50)
     (right,) = laws("a", [_values([*(1.0 + noise), math.nan])])
+    assert isinstance(right, Law) and right.absent == "it did not move"
     assert right.held and right.count == 50 and right.of_envs == 51
     (wrong,) = laws("a", [_values([*(1.02 + noise)])])
-    assert not wrong.held and wrong.difference == pytest.approx(0.02, abs=1e-3)
-    assert laws("a", [_values([math.nan, math.nan])]) == ()
+    assert (
+        isinstance(wrong, Law)
+        and not wrong.absent
+        and not wrong.held
+        and wrong.difference == pytest.approx(0.02, abs=1e-3)
+    )
+    assert laws("a", [_values([math.nan] * 2)]) == (Unmeasured("a", "pendulum", "it", "it", "it did not move"),)
+    unread = replace(_values([]), laws=Missing("too short"))
+    assert laws("a", [unread, unread]) == (Unmeasured("a", "pendulum", "", "all laws of pendulum", "too short"),)
 
 
 def test_runs_of_a_group_are_no_further_experiments() -> None:

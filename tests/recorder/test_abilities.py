@@ -75,6 +75,7 @@ def test_every_pair(simulator: str, scene: str) -> None:
         "franka": (WITH_ROBOTS, NO_ARM),
         "cube-toss": (WITH_ENV_STARTS, NO_ENV_STARTS),
         "pendulum": (WITH_ROBOTS, NO_JOINT),
+        "double-pendulum": (WITH_ROBOTS, NO_JOINT),
     }
     able, why = without.get(scene, (ENGINES, ""))
     if simulator in able:

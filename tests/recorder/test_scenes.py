@@ -33,7 +33,7 @@ def test_names_are_unique_and_groups_known(name: str) -> None:
     """Give every body a name of its own, and every moving one a group that the format knows."""
     scene = make_scene(name)
     assert len({b.name for b in scene.bodies}) == len(scene.bodies)
-    assert set(scene.groups()) <= {"cubes", "ball", "robot"}
+    assert set(scene.groups()) <= {"cubes", "boxes", "balls", "ball", "robot"}
     assert all(b.group for b in scene.moving())
     assert scene.name == name
 

@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ellipkm1
 
 Array = npt.NDArray[np.float64]
-
-
-def agm(a: Array, b: Array) -> Array:
-    """Arithmetic-geometric mean, element by element; both positive."""
-    a, b = np.broadcast_arrays(np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64))
-    for _ in range(12):  # the number of right digits doubles each time
-        a, b = (a + b) / 2.0, np.sqrt(a * b)
-    return np.asarray(a)
 
 
 def pendulum_period(amplitude: Array, small: float) -> Array:
@@ -23,9 +16,9 @@ def pendulum_period(amplitude: Array, small: float) -> Array:
     small      period of small swings, 2 pi sqrt(I / (m g l)) [s]
 
     T = T0 2/pi K(sin(a/2)), with the complete elliptic integral of the first kind (Landau and Lifshitz, Mechanics,
-    section 11, problem 1), and K(k) = pi / (2 agm(1, sqrt(1 - k^2))), as Gauss found.
+    section 11, problem 1).
     """
-    return small / agm(np.ones_like(amplitude), np.cos(np.asarray(amplitude) / 2.0))
+    return np.asarray(small * 2.0 / np.pi * ellipkm1(np.cos(np.asarray(amplitude) / 2.0) ** 2))
 
 
 def sliding_acceleration(along: float, normal: float, gravity: float, friction: float) -> float:
@@ -40,3 +33,27 @@ def sliding_acceleration(along: float, normal: float, gravity: float, friction: 
 def stopping_distance(speed: Array, acceleration: float) -> Array:
     """v^2 / (2 d) [m], of a block that brakes with `acceleration` = -d [m/s2] from `speed` [m/s]."""
     return np.asarray(speed**2 / (-2.0 * acceleration))
+
+
+def rotation_period(moments: Array, spin: Array) -> Array:
+    """Period of a free body's angular velocity in its own axes [s], shape [...]; infinite on the separatrix.
+
+    moments  principal moments I1 < I2 < I3 [kg m2], shape [3]
+    spin     angular velocity about these axes at any time [rad/s], shape [..., 3]
+
+    T = 4 K(k) sqrt(I1 I2 I3 / ((I3 - I2) (L^2 - 2 E I1))), k^2 = (I2 - I1) (2 E I3 - L^2) / ((I3 - I2) (L^2 - 2 E I1)),
+    with the energy E, the angular momentum L and the complete elliptic integral of the first kind K, for L^2 > 2 E I2;
+    else the same with I1 and I3 exchanged (Landau and Lifshitz, Mechanics, section 37; Goldstein, Classical Mechanics,
+    section 5.6). The component about the middle axis, an elliptic sine, passes zero twice in a period.
+    """
+    i1, i2, i3 = moments
+    twice_energy, squared = (spin**2 @ moments), (spin**2 @ moments**2)
+    inner, outer = (i3 - i2) * (squared - twice_energy * i1), (i2 - i1) * (twice_energy * i3 - squared)
+    larger = np.maximum(inner, outer)
+    complement = (i3 - i1) * np.abs(squared - twice_energy * i2) / larger  # 1 - k^2, without the loss of a difference
+    return np.asarray(4.0 * ellipkm1(complement) * np.sqrt(i1 * i2 * i3 / larger))
+
+
+def falling_time(height: Array, speed: Array, gravity: float) -> Array:
+    """Until a body that is thrown upward with `speed` [m/s] from `height` [m] has fallen to zero [s]."""
+    return np.asarray((speed + np.sqrt(speed**2 + 2.0 * gravity * height)) / gravity)

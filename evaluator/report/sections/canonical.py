@@ -7,13 +7,17 @@ from collections.abc import Sequence
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.canonical import Law, Sensitivity
+from gpusimbench.evaluator.results.canonical import Law, Sensitivity, Unmeasured
 
 _TITLES = ("simulator", "law", "envs", "measured", "predicted", "difference", "tolerance", "smallest change", "verdict")
+_UNITS = {"damping": "N m s/rad", "angular damping": "1/s"}  # of parameters whose change is no share
 _HOW = (
     "Difference: measured minus predicted, mean over environments, with its 95 % interval. Held: the interval comes "
-    "within the tolerance of zero. Smallest change: of a parameter of the engine, which two recordings of these "
-    "environments, before and after the change, tell apart in 95 of 100 cases (two-sided test, 5 %)."
+    "within the tolerance of zero. No verdict: nothing that the engine was given predicts the value, whose own "
+    "interval and standard deviation (sd) over environments are shown. Smallest change: of a parameter of the engine, "
+    "which two recordings of these environments, before and after the change, tell apart in 95 of 100 cases "
+    "(two-sided test, 5 %). A law of counts has the chi-squared statistic of Pearson's test as its value, the degrees "
+    "of freedom as its prediction, and the number of throws instead of environments."
 )
 
 
@@ -22,23 +26,36 @@ def section(source: Source) -> Section | None:
     found = [law for result in source.shown for law in result.laws]
     if not found:
         return None
-    broken = sum(not law.held for law in found)
-    said = f"{broken} of {plural(len(found), 'law')} broken"
-    shown = Table("canonical", "", tuple(map(Column, _TITLES)), tuple(Row(_cells(law)) for law in found))
-    return Section("canonical", "Laws in closed form", (Text(_HOW), shown), said, folded=True)
+    measured = [law for law in found if isinstance(law, Law)]
+    judged = [law for law in measured if law.held is not None]
+    broken = sum(not law.held for law in judged)
+    missing = [law for law in found if isinstance(law, Unmeasured)]
+    said = ", ".join(
+        [f"{broken} of {plural(len(judged), 'law')} broken"] * bool(judged)
+        + [f"{len(measured) - len(judged)} without a verdict"] * (len(measured) > len(judged))
+        + [f"{len(missing)} not measured"] * bool(missing)
+    )
+    shown = Table("canonical", "", tuple(map(Column, _TITLES)), tuple(Row(_cells(law)) for law in measured))
+    reasons = (Text(f"{law.label}: {law.title} not measured: {law.reason}.", Tone.QUIET) for law in missing)
+    return Section("canonical", "Laws in closed form", (Text(_HOW), shown, *reasons), said, folded=True)
 
 
 def _cells(law: Law) -> tuple[Cell, ...]:
     unit = f" [{law.unit}]" if law.unit else ""
-    off = f"{law.difference:.3g}"
-    if law.ci95:
-        off += f" [{law.ci95[0]:.3g}, {law.ci95[1]:.3g}]"
+    interval = f"[{law.ci95[0]:.3g}, {law.ci95[1]:.3g}]" if law.ci95 else ""
     changes = "; ".join(map(change, law.sensitivities))
     verdict = Cell("held", tone=Tone.GOOD) if law.held else Cell("BROKEN", tone=Tone.BAD)
+    difference, predicted = Cell(NONE), Cell(NONE)
+    if law.difference is None or law.predicted is None:
+        verdict = Cell("no verdict", notes=(law.unjudged,), tone=Tone.QUIET)
+        value = Cell(f"{law.measured:.5g} {interval}".rstrip(), law.measured, notes=(f"sd {law.spread:.2g}",))
+    else:
+        difference = Cell(f"{law.difference:.3g} {interval}".rstrip(), law.difference)
+        value, predicted = Cell(f"{law.measured:.5g}", law.measured), Cell(f"{law.predicted:.5g}", law.predicted)
+    envs = Cell(f"{law.count} of {law.of_envs}", law.count, notes=(law.absent,) if law.absent else ())
     return (
-        Cell(law.label), Cell(law.title + unit), Cell(f"{law.count} of {law.of_envs}", law.count),
-        Cell(f"{law.measured:.5g}", law.measured), Cell(f"{law.predicted:.5g}", law.predicted),
-        Cell(off, law.difference), Cell(f"{law.tolerance:.3g}", law.tolerance, notes=(law.of,)),
+        Cell(law.label), Cell(law.title + unit), envs,
+        value, predicted, difference, Cell(f"{law.tolerance:.3g}", law.tolerance, notes=(law.of,)),
         Cell(changes or NONE), verdict,
     )  # fmt: skip
 
@@ -47,14 +64,28 @@ def change(one: Sensitivity) -> str:
     """A sensitivity in words."""
     if one.least is None:
         return f"insensitive to {one.parameter}"
-    size = f"{one.least:.2g} N m s/rad" if one.parameter == "damping" else f"{100 * one.least:.2g} %"
+    unit = _UNITS.get(one.parameter)
+    size = f"{one.least:.2g} {unit}" if unit else f"{100 * one.least:.2g} %"
     return f"{one.parameter} {size}"
 
 
-def sentence(laws: Sequence[Law]) -> str:
-    """The laws of one group in a sentence, which names those that are broken."""
-    broken = [law for law in laws if not law.held]
-    said = f"{laws[0].label}: {len(laws) - len(broken)} of {plural(len(laws), 'law')} in closed form held"
-    units = [f" {law.unit}" if law.unit else "" for law in broken]
-    off = [f"{x.title} {x.measured:.4g}{u}, predicted {x.predicted:.4g}{u}" for x, u in zip(broken, units, strict=True)]
-    return said + (f"; BROKEN: {'; '.join(off)}" if off else "")
+def sentence(laws: Sequence[Law | Unmeasured]) -> str:
+    """The laws of one group in a sentence, which names those that are broken and those that were not measured."""
+    measured = [law for law in laws if isinstance(law, Law)]
+    judged = [law for law in measured if law.held is not None]
+    broken = [_value(x) + f", predicted {x.predicted:.4g}{_unit(x)}" for x in judged if not x.held]
+    said = [f"{laws[0].label}: {len(judged) - len(broken)} of {plural(len(judged), 'law')} in closed form held"]
+    said += [f"BROKEN: {'; '.join(broken)}"] * bool(broken)
+    unjudged = [_value(x) for x in measured if x.held is None]
+    said += [f"without a verdict: {'; '.join(unjudged)}"] * bool(unjudged)
+    missing = [f"{x.title}: {x.reason}" for x in laws if isinstance(x, Unmeasured)]
+    said += [f"not measured: {'; '.join(missing)}"] * bool(missing)
+    return "; ".join(said)
+
+
+def _value(law: Law) -> str:
+    return f"{law.title} {law.measured:.4g}{_unit(law)}"
+
+
+def _unit(law: Law) -> str:
+    return f" {law.unit}" if law.unit else ""

@@ -100,20 +100,42 @@ class LawValues:
     title      as tables show it
     unit       of the values
     measured   by environment; NaN where the motion did not take place
-    predicted  by environment, in closed form
+    predicted  by environment, in closed form; Missing where the engine was not told what decides it: it is measured
+               without a verdict
     tolerance  that the step may add to the mean on either side, by the formula `of`
     slopes     by parameter: the derivative of the predicted value, mean over environments, in `unit` for a share of 1
-               of the parameter ("mass", "friction"), or for 1 N m s/rad ("damping"); 0 where it has no effect
+               of the parameter ("mass", "middle moment", "friction", "restitution", "gravity"), or for 1 N m s/rad of a
+               joint's ("damping") or 1/s of a body's ("angular damping"); 0 where it has no effect
+    absent     why an environment has no value; empty where each has one
     """
 
     key: str
     title: str
     unit: str
     measured: tuple[float, ...]
-    predicted: tuple[float, ...]
+    predicted: tuple[float, ...] | Missing
     tolerance: float
     of: str
     slopes: tuple[tuple[str, float], ...]
+    absent: str = ""
+
+
+@dataclass(frozen=True)
+class LawCounts:
+    """One law in one run that says that all outcomes of a throw are equally likely.
+
+    key     for JSON
+    title   as tables show it
+    counts  of each outcome, over all environments
+    of      throws, those without an outcome included
+    absent  why a throw has no outcome
+    """
+
+    key: str
+    title: str
+    counts: tuple[int, ...]
+    of: int
+    absent: str
 
 
 @dataclass(frozen=True)
@@ -125,7 +147,8 @@ class PhysicsFacts:
     envs      first and last environment of each range that was looked at
     facts     of every check, in their order; Missing where nothing can be said of the run
     revision  by whose tolerances
-    laws      of motions that are known in closed form; empty where the scene has none
+    laws      of motions that are known in closed form; empty where the scene has none, Missing where none could be
+              measured
     """
 
     scene: str
@@ -133,7 +156,7 @@ class PhysicsFacts:
     envs: tuple[tuple[int, int], ...]
     facts: Facts | Missing
     revision: Revision = NEWEST
-    laws: tuple[LawValues, ...] = ()
+    laws: tuple[LawValues | LawCounts, ...] | Missing = ()
 
     @property
     def looked_at(self) -> int:
