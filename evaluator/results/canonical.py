@@ -61,6 +61,12 @@ class Law:
     held: bool
     sensitivities: tuple[Sensitivity, ...]
 
+    @property
+    def said(self) -> str:
+        """The law with what was measured and predicted, in words."""
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{self.title} {self.measured:.4g}{unit}, predicted {self.predicted:.4g}{unit}"
+
 
 def laws(label: str, facts: Sequence[PhysicsFacts]) -> tuple[Law, ...]:
     """The laws of a group, from its usable runs: runs of one group begin alike, so environments are the sample."""

@@ -19,6 +19,8 @@ from gpusimbench.evaluator.metrics.physics.closed_form import pendulum_period, s
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.results.canonical import laws, least_change
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of
 from tests.conftest import call
@@ -114,6 +116,31 @@ def test_laws_are_printed(recorded: dict[str, Path]) -> None:
     assert "laws in closed form held; BROKEN:" in said and "creep of the block that sticks on 12 degrees 0.001" in said
     said = call("gsb-eval", recorded["pendulum"], "--all").stdout
     assert "insensitive" in said and "damping" in said
+
+
+@pytest.mark.slow
+def test_a_broken_law_is_held_against_other_scenes(recorded: dict[str, Path], tmp_path: Path) -> None:
+    """Hold it against the same engine at the same step alone, and name it in a leaderboard."""
+    for name, options in (
+        ("same", ("--dt", "0.002")), ("step", ("--dt", "0.001")),
+        ("cone", ("--dt", "0.002", "--option", "cone=pyramidal")),
+    ):  # fmt: skip
+        asked = ("--sim", "mujoco", "--scene", "free-fall", "--n-env", "1", "--runs", "1", "--phases", "capture")
+        call("gsb-record", *asked, "--steps", "20", *options, "--out", tmp_path / name, code=0)
+    results = evaluate_files([recorded["blocks"], *sorted(tmp_path.glob("*/*.mcap"))]).results
+    against = {
+        (r.group.key.scene, r.group.key.dt, "pyramidal" in r.group.key.options): "; ".join(faults_anywhere(r, results))
+        for r in results
+    }
+    said = "creep of the block that sticks on 12 degrees 0.001"
+    assert said in against["sliding-block", 0.002, False]
+    assert said in against["free-fall", 0.002, False]
+    assert against["free-fall", 0.002, False].endswith("(sliding-block)")
+    assert not any("laws" in against["free-fall", *other] for other in ((0.001, False), (0.002, True)))
+    board = tmp_path / "board"
+    call("gsb-share", "leaderboard", recorded["blocks"].parent, "--out", board, "--no-cache", code=5)
+    (section,) = json.loads((board / "leaderboard.json").read_text())["sections"]
+    assert said in section["rows"][0]["no_place"]
 
 
 @pytest.mark.parametrize(("name", "array"), [("pendulum", "qpos"), ("pendulum", "qvel"), ("blocks", "linear")])

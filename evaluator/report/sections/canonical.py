@@ -55,6 +55,4 @@ def sentence(laws: Sequence[Law]) -> str:
     """The laws of one group in a sentence, which names those that are broken."""
     broken = [law for law in laws if not law.held]
     said = f"{laws[0].label}: {len(laws) - len(broken)} of {plural(len(laws), 'law')} in closed form held"
-    units = [f" {law.unit}" if law.unit else "" for law in broken]
-    off = [f"{x.title} {x.measured:.4g}{u}, predicted {x.predicted:.4g}{u}" for x, u in zip(broken, units, strict=True)]
-    return said + (f"; BROKEN: {'; '.join(off)}" if off else "")
+    return said + (f"; BROKEN: {'; '.join(law.said for law in broken)}" if broken else "")
