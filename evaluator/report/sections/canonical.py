@@ -13,7 +13,8 @@ _TITLES = ("simulator", "law", "envs", "measured", "predicted", "difference", "t
 _HOW = (
     "Difference: measured minus predicted, mean over environments, with its 95 % interval. Held: the interval comes "
     "within the tolerance of zero. Smallest change: of a parameter of the engine, which two recordings of these "
-    "environments, before and after the change, tell apart in 95 of 100 cases (two-sided test, 5 %)."
+    "environments, before and after the change, tell apart in 95 of 100 cases (two-sided test, 5 %); in brackets, the "
+    "change with which the law is BROKEN in 95 of 100 recordings."
 )
 
 
@@ -45,10 +46,17 @@ def _cells(law: Law) -> tuple[Cell, ...]:
 
 def change(one: Sensitivity) -> str:
     """A sensitivity in words."""
-    if one.least is None:
+    if not one.slope:
         return f"insensitive to {one.parameter}"
-    size = f"{one.least:.2g} N m s/rad" if one.parameter == "damping" else f"{100 * one.least:.2g} %"
-    return f"{one.parameter} {size}"
+    if one.least is None:
+        return f"{one.parameter}: too few environments"
+    broken = f" ({size(one.breaks, one.parameter)})" if one.breaks else ""
+    return f"{one.parameter} {size(one.least, one.parameter)}{broken}"
+
+
+def size(change: float, parameter: str) -> str:
+    """A change of a parameter with its unit."""
+    return f"{change:.2g} N m s/rad" if parameter == "damping" else f"{100 * change:.2g} %"
 
 
 def sentence(laws: Sequence[Law]) -> str:
