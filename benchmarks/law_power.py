@@ -149,19 +149,22 @@ def trials(setting: Setting, repetitions: int) -> dict[tuple[str, str], Counts]:
         sign = 1.0 if repetition % 2 else -1.0
         before = record(setting, scene, next(seeds))
         again = record(setting, scene, next(seeds))
+        claimed: dict[str, dict[tuple[str, str], float]] = {"least": {}, "breaks": {}}
         by_key, again_by_key = ({law.key: law for law in of} for of in (before, again))
         for law in judged(before, setting.scene).values():
             for one in law.sensitivities:
                 if one.least is not None:
                     counts = found.setdefault((law.key, one.parameter), Counts(law, one.parameter))
+                    claimed["least"][law.key, one.parameter] = one.least
                     counts.least.append(one.least)
                     counts.pairs_unchanged.append(differ(by_key[law.key], again_by_key[law.key]))
                     counts.broken_unchanged.append(not law.held)
                     if one.breaks is not None:
+                        claimed["breaks"][law.key, one.parameter] = one.breaks
                         counts.breaks.append(one.breaks)
         for keys in _recorded_together(found):
-            for claim in ("least", "breaks"):
-                sizes = {key: claimed[-1] for key in keys if (claimed := getattr(found[key], claim))}
+            for claim, by_law in claimed.items():
+                sizes = {key: by_law[key] for key in keys if key in by_law}
                 if not sizes:
                     continue
                 engines = _with(scene, sizes, sign)

@@ -14,8 +14,14 @@ from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
 
 Array = npt.NDArray[np.float64]
 
+SHARES = ("mass", "friction")
+"""Parameters whose changes are given as shares of them."""
+
 POWER = 0.95
 """With which the smallest change is detected, by a two-sided test of 5 %."""
+
+LARGEST = 0.2
+"""Share of a parameter beyond which no size is claimed: sizes follow from derivatives, and laws are not linear."""
 
 _ROUNDING = 1e-12  # share of a value below which environments do not spread
 _ALIKE = 1e-3  # share of the tolerance below which they do not either: solvers that stop early leave such differences
@@ -29,11 +35,11 @@ class Sensitivity:
     parameter  "mass", "friction" (shares), "damping" (N m s/rad)
     slope      derivative of the predicted value by it; 0: the law does not depend on it
     least      the smallest change that two recordings of these environments show with POWER; None where the law does
-               not depend on the parameter, or has too few environments
+               not depend on the parameter, or where no change is sure to show: with too few environments, or up to
+               LARGEST
     exact      the environments do not spread: `least` is the change that moves the mean by the tolerance
     breaks     the smallest change with which one recording of these environments breaks the law with POWER, whatever
-               its sign; None where the law does not depend on the parameter, is broken without a change, or has too few
-               environments
+               its sign; None likewise, and where the law is broken without a change
     """
 
     parameter: str
@@ -110,14 +116,18 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | None:
         float(measured[there].mean()), float(predicted[there].mean()), mean, (low, high) if count > 1 else None,
         tolerance, first.of, held,
         tuple(
-            Sensitivity(name, float(slope), _over(shown, slope), exact, _over(moved, slope))
+            Sensitivity(name, float(slope), _size(shown, slope, name), exact, _size(moved, slope, name))
             for name, slope in first.slopes
         ),
     )  # fmt: skip
 
 
-def _over(move: float | None, slope: float) -> float | None:
-    return None if move is None or not slope else float(move / abs(slope))
+def _size(move: float | None, slope: float, parameter: str) -> float | None:
+    """The change of a parameter that moves the mean so far."""
+    if move is None or not slope:
+        return None
+    size = float(move / abs(slope))
+    return size if parameter not in SHARES or size <= LARGEST else None
 
 
 def standard_error(values: Array) -> float:

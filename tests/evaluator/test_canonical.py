@@ -240,4 +240,6 @@ def test_a_law_that_is_broken_claims_no_breaking_change_and_two_environments_too
     (few,) = laws("a", [_values([1.0, 1.1], tolerance=1e-3)])
     assert few.sensitivities[0].breaks is None and few.sensitivities[0].slope == 2.0
     assert change(few.sensitivities[1]) == "insensitive to mass"
-    assert change(replace(few.sensitivities[0], least=None)) == "friction: too few environments"
+    (rough,) = laws("a", [_values([1.0, 2.0, 0.0, 1.0])])
+    assert rough.sensitivities[0].least is None and rough.held
+    assert change(rough.sensitivities[0]) == "no friction up to 20 % is sure to show"
