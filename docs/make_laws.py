@@ -139,6 +139,19 @@ def cell(law: Law | None, base: Row | None, row: Row) -> str:
     return f"{shown} ({relative})"
 
 
+def totals(power: str) -> str:
+    """The outcomes of all rows of the table of benchmarks.law_power together, in a sentence."""
+    found = [[cell.strip() for cell in line.strip("| ").split("|")] for line in power.splitlines() if " of " in line]
+    sums = []
+    for column in (4, 7, 5, 8):
+        pairs = [tuple(map(int, row[column].split(" of "))) for row in found if len(row) > 8 and " of " in row[column]]
+        sums.append(f"{sum(k for k, _ in pairs):,} of {sum(n for _, n in pairs):,}")
+    return (
+        f"All rows together: {sums[0]} pairs with a change were seen, and {sums[1]} verdicts broken; without a change "
+        f"{sums[2]} pairs differed, and {sums[3]} verdicts were broken."
+    )
+
+
 def with_block(page: str, name: str, shown: str) -> str:
     """A page with what is between its markers replaced."""
     head, rest = page.split(BEGIN.format(name))
@@ -157,7 +170,8 @@ def main() -> None:
             page = with_block(page, f"laws of {scene}", table(found))
     power = folder / "power.md"
     if power.exists():
-        page = with_block(page, "power of the laws", power.read_text(encoding="utf-8").strip())
+        shown = power.read_text(encoding="utf-8").strip()
+        page = with_block(page, "power of the laws", f"{shown} {totals(shown)}")
     PAGE.write_text(page, encoding="utf-8")
 
 

@@ -18,7 +18,10 @@ SHARES = ("mass", "friction")
 """Parameters whose changes are given as shares of them."""
 
 POWER = 0.95
-"""With which the smallest change is detected, by a two-sided test of 5 %."""
+"""With which the smallest change is detected, by a two-sided test of 5 %: of two recordings, Wilcoxon's rank-sum test,
+which an environment far from all others does not blind."""
+
+_RANKS = math.sqrt(math.pi / 3.0)  # of normal values, ranks need 3 / pi of the effect squared (Pitman's efficiency)
 
 LARGEST = 0.2
 """Share of a parameter beyond which no size is claimed: sizes follow from derivatives, and laws are not linear."""
@@ -156,13 +159,14 @@ def showing_move(off: Array, predicted: Array) -> float | None:
 
     The size of effect of a two-sample t test (Cohen, Statistical Power Analysis, chapter 2), with the standard error s
     of both, and an effect d that spreads over n environments by a share k of itself: d = q sqrt(2 s^2 + k^2 d^2 / n),
-    q = t.975 + t.95 with 2n - 2 degrees of freedom. s is its own upper 95 % limit; k is the coefficient of variation of
-    the predicted values, and _UNEVEN at least. None where no d is large enough.
+    q = (t.975 + t.95) sqrt(pi / 3) with 2n - 2 degrees of freedom, the root for ranks instead of values. s is
+    its own upper 95 % limit; k is the coefficient of variation of the predicted values, and _UNEVEN at least. None
+    where no d is large enough.
     """
     if len(off) < 2:
         return None
     degrees = 2 * len(off) - 2
-    q = float(stdtrit(degrees, 0.975) + stdtrit(degrees, POWER))
+    q = _RANKS * float(stdtrit(degrees, 0.975) + stdtrit(degrees, POWER))
     left = 1.0 - (q * _unevenness(predicted)) ** 2
     return q * math.sqrt(2.0 / left) * _most_error(off) if left > 0.0 else None
 

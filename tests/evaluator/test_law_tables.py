@@ -58,6 +58,18 @@ def test_the_page_has_the_tables_of_the_scripts() -> None:
         assert re.search(r"mujoco \d+\.\d+\.\d+", shown)
 
 
+def test_totals_are_those_of_all_rows() -> None:
+    """Add up what was seen and broken, with and without a change, and leave out what was not claimed."""
+    head = "| step | law | change of | size | seen | without | size | broken | without |\n| --- |\n"
+    rows = "| 4 ms | a of b | x | 1 % | 9 of 10 | 1 of 10 | 2 % | 8 of 8 | 0 of 10 |\n"
+    rows += "| 4 ms | b | x | 1 % | 10 of 10 | 0 of 10 | - | - | 3 of 10 |\n\n"
+    said = script("make_laws").totals(head + rows + "mujoco 4.0.0, 32 environments, 10 repetitions.")
+    assert said == (
+        "All rows together: 19 of 20 pairs with a change were seen, and 8 of 8 verdicts broken; without a change 1 of "
+        "20 pairs differed, and 3 of 20 verdicts were broken."
+    )
+
+
 def test_a_change_is_that_of_the_named_lane_and_of_the_joint() -> None:
     """Change the friction of a block and of its plank, and of no other, and the damping of the joint."""
     scene = make_scene("sliding-block")

@@ -13,7 +13,7 @@ _TITLES = ("simulator", "law", "envs", "measured", "predicted", "difference", "t
 _HOW = (
     "Difference: measured minus predicted, mean over environments, with its 95 % interval. Held: the interval comes "
     "within the tolerance of zero. Smallest change: of a parameter of the engine, which two recordings of these "
-    "environments, before and after the change, tell apart in 95 of 100 cases (two-sided test, 5 %); in brackets, the "
+    "environments, before and after the change, tell apart in 95 of 100 cases (rank-sum test, 5 %); in brackets, the "
     "change with which the law is BROKEN in 95 of 100 recordings."
 )
 
