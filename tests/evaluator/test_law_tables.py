@@ -49,13 +49,18 @@ def test_a_row_has_measured_values_and_how_they_change_with_the_step(recorded: P
 
 
 def test_the_page_has_the_tables_of_the_scripts() -> None:
-    """Hold every engine's version and no law without a value between the markers."""
+    """Hold a row of every engine with its version, and a cell for every law, between the markers."""
     laws = script("make_laws")
     page = laws.PAGE.read_text(encoding="utf-8")
     for name in ("laws of pendulum", "laws of sliding-block", "power of the laws"):
         shown = page.split(laws.BEGIN.format(name))[1].split(laws.END.format(name))[0]
         assert len(shown.strip().splitlines()) > 4
         assert re.search(r"mujoco \d+\.\d+\.\d+", shown)
+        if name != "power of the laws":
+            cells = [line.split("|")[1:-1] for line in shown.strip().splitlines()]
+            assert len({len(row) for row in cells}) == 1
+            engines = {row[0].split()[0] for row in cells[3:]}
+            assert engines >= {"mujoco", "warp", "mjx", "physx", "sapien", "genesis"}
 
 
 def test_totals_are_those_of_all_rows() -> None:
