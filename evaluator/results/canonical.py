@@ -14,8 +14,8 @@ from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
 
 Array = npt.NDArray[np.float64]
 
-SHARES = ("mass", "friction")
-"""Parameters whose changes are given as shares of them."""
+UNITS = {"damping": "N m s/rad"}
+"""Of parameters whose changes are no shares of them."""
 
 POWER = 0.95
 """With which the smallest change is detected, by a two-sided test of 5 %: of two recordings, Wilcoxon's rank-sum test,
@@ -130,7 +130,7 @@ def _size(move: float | None, slope: float, parameter: str) -> float | None:
     if move is None or not slope:
         return None
     size = float(move / abs(slope))
-    return size if parameter not in SHARES or size <= LARGEST else None
+    return size if parameter in UNITS or size <= LARGEST else None
 
 
 def standard_error(values: Array) -> float:

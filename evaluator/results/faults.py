@@ -100,5 +100,5 @@ def _broken(result: GroupResult) -> str:
 
 
 def _laws(result: GroupResult) -> str:
-    broken = [law.said for law in result.laws if not law.held]
+    broken = [law.said for law in result.laws if law.held is False]
     return f"laws in closed form broken: {', '.join(broken)}" if broken else ""

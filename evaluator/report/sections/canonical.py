@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.canonical import LARGEST, SHARES, Law, Sensitivity
+from gpusimbench.evaluator.results.canonical import LARGEST, UNITS, Law, Sensitivity
 
 _TITLES = ("simulator", "law", "envs", "measured", "predicted", "difference", "tolerance", "smallest change", "verdict")
 _HOW = (
@@ -49,14 +49,16 @@ def change(one: Sensitivity) -> str:
     if not one.slope:
         return f"insensitive to {one.parameter}"
     if one.least is None:
-        return f"no {one.parameter}{f' up to {100 * LARGEST:g} %' if one.parameter in SHARES else ''} is sure to show"
+        return (
+            f"no {one.parameter}{f' up to {100 * LARGEST:g} %' if one.parameter not in UNITS else ''} is sure to show"
+        )
     broken = f" ({size(one.breaks, one.parameter)})" if one.breaks else ""
     return f"{one.parameter} {size(one.least, one.parameter)}{broken}"
 
 
 def size(change: float, parameter: str) -> str:
     """A change of a parameter with its unit."""
-    return f"{100 * change:.2g} %" if parameter in SHARES else f"{change:.2g} N m s/rad"
+    return f"{change:.2g} {UNITS[parameter]}" if parameter in UNITS else f"{100 * change:.2g} %"
 
 
 def sentence(laws: Sequence[Law]) -> str:
