@@ -80,7 +80,7 @@ def guidelines(results: Results) -> list[Guideline]:
 
     The needs are those of GPUSimBench; the paper gives picks and no rule, so the rules are this
     project's own. A simulator that lacks a figure that a rule names is left out of that rule and
-    listed. So is one that is barred: INVALID runs, sunk cubes or broken mechanics make a figure no
+    listed. So is one that is barred: INVALID runs, sunk cubes, broken mechanics or broken laws make a figure no
     merit, whatever it is. One simulator alone is no comparison and yields no pick.
 
     Raises:

@@ -34,9 +34,10 @@ class Fastest:
     """Of the simulators that were timed over the same steps of one scene on one device: the fastest, and the next.
 
     scene, device  of all of them
-    first, second  of them no run is INVALID and no check of mechanics broken, in any scene, and their throughput meets
-                   the protocol's rules on the timed window and on evidence of work; where errors against measured
-                   tosses are known, theirs cannot be told apart from the smallest; None where nobody is left
+    first, second  of them no run is INVALID, and no check of mechanics and no law in closed form broken, in any scene,
+                   and their throughput meets the protocol's rules on the timed window and on evidence of work; where
+                   errors against measured tosses are known, theirs cannot be told apart from the smallest; None where
+                   nobody is left
     faster         groups of other simulators with a higher throughput that are not named first, each with the reason
     otherwise      simulators that were timed over other steps, which cannot be compared
     remarks        what must be known to compare the two

@@ -8,33 +8,51 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri, stdtrit
+from scipy.special import chdtri, stdtrit
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues, PhysicsFacts
 from gpusimbench.evaluator.statistics.counts import FEWEST, uniformity
 
-POWER = 0.95
-"""With which the smallest change is detected, by a two-sided test of 5 %."""
+Array = npt.NDArray[np.float64]
 
-_ALPHA = 0.05
-_Z = float(ndtri(0.975) + ndtri(POWER))
+UNITS = {"damping": "N m s/rad", "angular damping": "1/s"}
+"""Of parameters whose changes are no shares of them."""
+
+POWER = 0.95
+"""With which the smallest change is detected, by a two-sided test of 5 %: of two recordings, Wilcoxon's rank-sum test,
+which an environment far from all others does not blind."""
+
+_RANKS = math.sqrt(math.pi / 3.0)  # of normal values, ranks need 3 / pi of the effect squared (Pitman's efficiency)
+
+LARGEST = 0.2
+"""Share of a parameter beyond which no size is claimed: sizes follow from derivatives, and laws are not linear."""
+
+_ALPHA = 1e-3  # of a law of counts, which bars from rankings: a right engine is to break it once in 1,000 recordings
 _ROUNDING = 1e-12  # share of a value below which environments do not spread
+_ALIKE = 1e-3  # share of the tolerance below which they do not either: solvers that stop early leave such differences
+_UNEVEN = 0.1  # share by which the effect of a change differs between environments, or as much as predicted values do
 
 
 @dataclass(frozen=True)
 class Sensitivity:
     """Of a law to one parameter.
 
-    parameter  as of LawValues.slopes
-    least      the smallest change that two recordings of these environments show with POWER; None: the law does not
-               depend on it
-    exact      the environments do not spread: the change is that which moves the mean by the tolerance
+    parameter  as of LawValues.slopes; of a law of counts "probability of a face"
+    slope      derivative of the predicted value by it; 0: the law does not depend on it; None: of a law of counts
+    least      the smallest change that two recordings of these environments show with POWER, of a law of counts with
+               which one recording breaks it; None where the law does not depend on the parameter, or where no change
+               is sure to show: with too few environments, or up to LARGEST
+    exact      the environments do not spread: `least` is the change that moves the mean by the tolerance
+    breaks     the smallest change with which one recording of these environments breaks the law with POWER, whatever
+               its sign; None likewise, and where the law is broken without a change, or predicts nothing
     """
 
     parameter: str
+    slope: float | None
     least: float | None
     exact: bool
+    breaks: float | None
 
 
 @dataclass(frozen=True)
@@ -52,7 +70,7 @@ class Law:
     unjudged      why there is no prediction, and so no verdict; empty where there is
     p             of the chi-squared test, where the law says that outcomes are equally likely: `count` of `of_envs`
                   throws had an outcome, `measured` is the statistic, `predicted` its degrees of freedom, and it holds
-                  where the statistic is below its 95 % point
+                  where the statistic is below its 99.9 % point
     """
 
     label: str
@@ -74,6 +92,13 @@ class Law:
     absent: str = ""
     unjudged: str = ""
     p: float | None = None
+
+    @property
+    def said(self) -> str:
+        """The law with what was measured and, where anything is, predicted, in words."""
+        unit = f" {self.unit}" if self.unit else ""
+        predicted = "" if self.predicted is None else f", predicted {self.predicted:.4g}{unit}"
+        return f"{self.title} {self.measured:.4g}{unit}{predicted}"
 
 
 @dataclass(frozen=True)
@@ -118,10 +143,11 @@ def _uniform(label: str, scene: str, found: LawCounts) -> Law | Unmeasured:
         reason = f"{sum(found.counts)} of {found.of} throws have an outcome, and {FEWEST:g} are needed for each outcome"
         return Unmeasured(label, scene, found.key, found.title, reason)
     count = sum(found.counts)
+    load = Sensitivity("probability of a face", None, test.least, False, test.least)
     return Law(
         label, scene, found.key, found.title, "", count, found.of, test.statistic, float(test.degrees),
-        test.statistic - test.degrees, None, test.critical - test.degrees, f"95 % of chi-squared; p = {test.p:.2g}",
-        test.statistic <= test.critical, (Sensitivity("probability of a face", test.least, False),), 0.0,
+        test.statistic - test.degrees, None, test.critical - test.degrees, f"99.9 % of chi-squared; p = {test.p:.2g}",
+        test.statistic <= test.critical, (load,), 0.0,
         found.absent if count < found.of else "", p=test.p,
     )  # fmt: skip
 
@@ -141,19 +167,19 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
     off = measured[there] - predicted[there]
     mean, error = float(off.mean()), standard_error(off)
     scale = float(np.abs(measured[there]).max(initial=0.0))
-    exact = not error > _ROUNDING * scale
-    ci95 = None
-    if count > 1:
-        half = float(stdtrit(count - 1, 0.975)) * error
-        ci95 = (mean - half, mean + half)
-    low, high = ci95 or (mean, mean)
     tolerance = max(run.tolerance for run in alike)
+    exact = not error > max(_ROUNDING * scale, _ALIKE * tolerance)
+    half = float(stdtrit(count - 1, 0.975)) * error if count > 1 else 0.0
+    low, high = mean - half, mean + half
+    held = (low <= tolerance and high >= -tolerance) if judged else None
+    shown = tolerance if exact else showing_move(off, predicted[there])
+    moved = breaking_move(off, predicted[there], tolerance) if held else None
     return Law(
         label, scene, first.key, first.title, first.unit, count, len(first.measured),
         float(measured[there].mean()), float(predicted[there].mean()) if judged else None, mean if judged else None,
-        ci95, tolerance, first.of, (low <= tolerance and high >= -tolerance) if judged else None,
+        (low, high) if count > 1 else None, tolerance, first.of, held,
         tuple(
-            Sensitivity(name, least_change(slope, tolerance if exact else error, exact=exact), exact)
+            Sensitivity(name, float(slope), _size(shown, slope, name), exact, _size(moved, slope, name))
             for name, slope in first.slopes
         ),
         error * math.sqrt(count),
@@ -162,20 +188,63 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
     )  # fmt: skip
 
 
-def standard_error(values: npt.NDArray[np.float64]) -> float:
+def _size(move: float | None, slope: float, parameter: str) -> float | None:
+    """The change of a parameter that moves the mean so far."""
+    if move is None or not slope:
+        return None
+    size = float(move / abs(slope))
+    return size if parameter in UNITS or size <= LARGEST else None
+
+
+def standard_error(values: Array) -> float:
     """Of the mean; 0 with one value."""
     return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
 
 
-def least_change(slope: float, error: float, *, exact: bool) -> float | None:
-    """The smallest change of a parameter that two recordings, before and after it, tell apart with POWER.
+def _most_error(values: Array) -> float:
+    """The upper 95 % limit of the standard error, of normal values: a claim that takes the estimate for the truth is
+    too small half of the time."""
+    n = len(values)
+    return standard_error(values) * math.sqrt((n - 1) / float(chdtri(n - 1, POWER))) if n > 1 else 0.0
 
-    slope  derivative of the mean by the parameter
-    error  standard error of each mean, or the tolerance where `exact`
 
-    (z.975 + z.95) sqrt(2) error / |slope|, the size of effect of a two-sample z test (Cohen, Statistical Power
-    Analysis, chapter 2). None where the slope is 0.
+def _unevenness(predicted: Array) -> float:
+    """The share by which the effect of a change differs between environments, over the root of their number."""
+    middle = abs(float(predicted.mean()))
+    spread = float(predicted.std(ddof=1)) / middle if len(predicted) > 1 and middle else 0.0
+    return max(_UNEVEN, spread) / math.sqrt(len(predicted))
+
+
+def showing_move(off: Array, predicted: Array) -> float | None:
+    """How far a change has to move the mean so that recordings before and after it are told apart with POWER.
+
+    off, predicted  by environment, without the change: measured minus predicted, and predicted
+
+    The size of effect of a two-sample t test (Cohen, Statistical Power Analysis, chapter 2), with the standard error s
+    of both, and an effect d that spreads over n environments by a share k of itself: d = q sqrt(2 s^2 + k^2 d^2 / n),
+    q = (t.975 + t.95) sqrt(pi / 3) with 2n - 2 degrees of freedom, the root for ranks instead of values. s is
+    its own upper 95 % limit; k is the coefficient of variation of the predicted values, and _UNEVEN at least. None
+    where no d is large enough.
     """
-    if not slope:
+    if len(off) < 2:
         return None
-    return (error if exact else _Z * math.sqrt(2.0) * error) / abs(slope)
+    degrees = 2 * len(off) - 2
+    q = _RANKS * float(stdtrit(degrees, 0.975) + stdtrit(degrees, POWER))
+    left = 1.0 - (q * _unevenness(predicted)) ** 2
+    return q * math.sqrt(2.0 / left) * _most_error(off) if left > 0.0 else None
+
+
+def breaking_move(off: Array, predicted: Array, tolerance: float) -> float | None:
+    """How far a change has to move the mean, to either side, so that the 95 % interval leaves the tolerance with POWER.
+
+    off, predicted  as of showing_move
+
+    d >= tolerance + |m| + q (s + k d / sqrt(n)), with the mean m, q = t.975 + t.95 with n - 1 degrees of freedom, and s
+    and k as of showing_move. None where no d is large enough.
+    """
+    n, mean = len(off), abs(float(off.mean()))
+    if n < 2:
+        return tolerance + mean
+    q = float(stdtrit(n - 1, 0.975) + stdtrit(n - 1, POWER))
+    left = 1.0 - q * _unevenness(predicted)
+    return (tolerance + mean + q * _most_error(off)) / left if left > 0.0 else None

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.canonical import Law
 from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.fidelity import Verdict
 from gpusimbench.evaluator.results.result import GroupResult
@@ -20,14 +21,16 @@ class Faults:
     invalid  runs that are INVALID: their steps did not do all of their work
     sunk     cubes that went through the floor
     broken   other checks of mechanics that do not hold
+    laws     laws in closed form that do not hold
     """
 
-    invalid: str
-    sunk: str
-    broken: str
+    invalid: str = ""
+    sunk: str = ""
+    broken: str = ""
+    laws: str = ""
 
     def __str__(self) -> str:
-        return "; ".join(part for part in (self.invalid, self.sunk, self.broken) if part)
+        return "; ".join(part for part in (self.invalid, self.sunk, self.broken, self.laws) if part)
 
     def __bool__(self) -> bool:
         return bool(str(self))
@@ -35,24 +38,41 @@ class Faults:
 
 def faults(result: GroupResult) -> Faults:
     """What the recordings of a group show against it."""
-    return Faults(_invalid(result), _sunk(result), _broken(result))
+    return Faults(_invalid(result), _sunk(result), _broken(result), _laws(result))
 
 
 def faults_anywhere(result: GroupResult, results: Sequence[GroupResult]) -> tuple[str, ...]:
     """What a group and all others of its engine show against it, in any scene, each with the scene.
 
     An engine is a simulator of one version on one device, with the options and the level that were asked for. What is
-    wrong with another time step of the same scene is not held against it.
+    wrong with another time step of the same scene is not held against it. Laws in closed form are those of the same
+    step in every scene, however the environments of the other group begin and whatever differs between them: a law is
+    one of the engine, and scenes with laws are recorded with drawn initial states.
     """
-    engine, key = _engine(result), result.group.key
-    others = (r for r in results if r is not result and _engine(r) == engine)
-    ours = [result, *(r for r in others if r.group.key.scene != key.scene or r.group.key.dt == key.dt)]
-    return tuple(dict.fromkeys(f"{wrong} ({r.group.key.scene})" for r in ours if (wrong := faults(r))))
+    engine = _engine(result)
+    others = ((r, _held_against(result, engine, r)) for r in results if r is not result)
+    ours = [(result, faults(result)), *others]
+    return tuple(dict.fromkeys(f"{wrong} ({r.group.key.scene})" for r, wrong in ours if wrong))
+
+
+def _held_against(result: GroupResult, engine: GroupKey, other: GroupResult) -> Faults:
+    """What is wrong with another group that is held against a group of an engine."""
+    found, same_step = Faults(), result.group.key.dt == other.group.key.dt
+    theirs = _engine(other)
+    if theirs == engine and (same_step or result.group.key.scene != other.group.key.scene):
+        found = replace(faults(other), laws="")
+    if same_step and _begun_anyhow(theirs) == _begun_anyhow(engine):
+        found = replace(found, laws=_laws(other))
+    return found
 
 
 def _engine(result: GroupResult) -> GroupKey:
     # packages, driver and variables may differ a little between scenes: what is wrong with one is held against all
     return replace(settings_asked(result.group.recordings), conditions="", switches="")
+
+
+def _begun_anyhow(engine: GroupKey) -> GroupKey:
+    return replace(engine, initial="", vary="", keep="")
 
 
 def _invalid(result: GroupResult) -> str:
@@ -78,3 +98,8 @@ def _broken(result: GroupResult) -> str:
     rows = [row for row in result.fidelity.of(Verdict.BROKEN) if row.check is not Check.SANK]
     titles = ", ".join(row.check.title for row in rows)
     return f"broken by {result.fidelity.revision.value}: {titles}" if rows else ""
+
+
+def _laws(result: GroupResult) -> str:
+    broken = [law.said for law in result.laws if isinstance(law, Law) and law.held is False]
+    return f"laws in closed form broken: {', '.join(broken)}" if broken else ""

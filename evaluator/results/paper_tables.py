@@ -113,7 +113,7 @@ def _at_max(sweep: Sweep) -> AtMax:
     result = sweep.at_max
     limit = _limit(sweep)
     if result is None:
-        return AtMax(sweep, None, None, None, limit, sweep.ends, Faults("", "", ""), None)
+        return AtMax(sweep, None, None, None, limit, sweep.ends, Faults(), None)
     counted = result.validity.of("contacts", "timed", "capture")
     return AtMax(
         sweep,

@@ -91,7 +91,7 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     failed, says nothing of its simulator's. Without sweeps, throughput is compared among the groups that were timed
     over the steps that most were timed over; distances do not depend on what was timed. Settings of one simulator are
     no choice between simulators, and what says of itself that it is an instrument is not ranked at all. A simulator
-    whose runs are INVALID or break mechanics in any scene earns no pick.
+    whose runs are INVALID, or break mechanics or a law in closed form, in any scene earns no pick.
     """
     aside = dict.fromkeys(r.group.key.simulator for r in results if is_instrument(r.group.key))
     results = [r for r in results if not is_instrument(r.group.key)]

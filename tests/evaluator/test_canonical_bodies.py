@@ -82,7 +82,7 @@ def test_runge_kutta_keeps_the_laws_of_free_bodies(turning: Path) -> None:
     assert all(law["held"] and law["count"] == 6 for law in found.values())
     assert all(abs(law["difference"]) < 2e-5 for law in found.values())
     least = {one["parameter"]: one["least"] for one in found["middle_period"]["sensitivities"]}
-    assert least["mass"] is None and 0 < least["middle moment"] < 1e-3
+    assert least["mass"] is None and 0 < least["middle moment"] < 1e-2
 
 
 @pytest.mark.slow
@@ -115,7 +115,7 @@ def test_damping_moves_energy_and_momentum_as_told(turning: Path, monkeypatch: p
         least = {s.parameter: s.least for s in one.sensitivities}.get("angular damping")
         if least is not None:
             expected = damping * dt * 800 * (1 if one.key.endswith("momentum") else -2)
-            assert least < damping
+            assert 0.0 < least < 10 * damping
             assert other.difference == pytest.approx(expected, rel=0.02)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,12 @@ from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import render_html
-from gpusimbench.evaluator.report.leaders import fastest
+from gpusimbench.evaluator.report.leaders import Fastest, fastest
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.canonical import Law, laws
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
 from tests.synthetic import grid, write_recording, write_sweep
 
 
@@ -94,6 +97,32 @@ def test_faults_in_any_scene_bar_a_first_place(tmp_path: Path) -> None:
     assert "9 of 27 bodies per env sank (inclined-collision)" in why
     assert collided.first.result.group.key.simulator == "slow"
     assert collided.faster == ()  # it is slower there
+
+
+def test_a_broken_law_bars_a_first_place(tmp_path: Path) -> None:
+    """Name the slower simulator first where the faster one breaks a law, and name the law with its figures."""
+    evaluation = evaluate(tmp_path)
+    values = LawValues("creep", "creep of the block", "m", (2e-3, 2e-3), (0.0, 0.0), 1e-3, "g dt^2", ())
+    broken = laws("fast", [PhysicsFacts("sliding-block", 2, ((0, 1),), {}, laws=(values,))])
+    kept = laws("fast", [PhysicsFacts("sliding-block", 2, ((0, 1),), {}, laws=(replace(values, tolerance=3e-3),))])
+
+    def first(of_fast: tuple[Law, ...]) -> Fastest:
+        given = {"fast": of_fast, "slow": kept}
+        results = [replace(r, laws=given.get(r.group.key.simulator, ())) for r in evaluation.results]
+        (found,) = fastest(results)
+        return found
+
+    assert _names(first(kept)) == ("fast", "slow")
+    found = first(broken)
+    assert _names(found) == ("slow", "")
+    why = {speed.result.group.key.simulator: reason for speed, reason in found.faster}["fast"]
+    said = "laws in closed form broken: creep of the block 0.002 m, predicted 0 m"
+    assert why == f"{said} (inclined-collision)"
+
+
+def _names(found: Fastest) -> tuple[str, str]:
+    first, second = (one.result.group.key.simulator if one else "" for one in (found.first, found.second))
+    return first, second
 
 
 def test_nobody_is_named_where_all_are_wrong(tmp_path: Path) -> None:

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.canonical import Law, Sensitivity, Unmeasured
+from gpusimbench.evaluator.results.canonical import LARGEST, UNITS, Law, Sensitivity, Unmeasured
 
 _TITLES = ("simulator", "law", "envs", "measured", "predicted", "difference", "tolerance", "smallest change", "verdict")
-_UNITS = {"damping": "N m s/rad", "angular damping": "1/s"}  # of parameters whose change is no share
 _HOW = (
     "Difference: measured minus predicted, mean over environments, with its 95 % interval. Held: the interval comes "
     "within the tolerance of zero. No verdict: nothing that the engine was given predicts the value, whose own "
     "interval and standard deviation (sd) over environments are shown. Smallest change: of a parameter of the engine, "
-    "which two recordings of these environments, before and after the change, tell apart in 95 of 100 cases "
-    "(two-sided test, 5 %). A law of counts has the chi-squared statistic of Pearson's test as its value, the degrees "
-    "of freedom as its prediction, and the number of throws instead of environments."
+    "which two recordings of these environments, before and after the change, tell apart in 95 of 100 cases (rank-sum "
+    "test, 5 %); in brackets, the change with which the law is BROKEN in 95 of 100 recordings. A law of counts has the "
+    "chi-squared statistic of Pearson's test as its value, the degrees of freedom as its prediction, and the number of "
+    "throws instead of environments."
 )
 
 
@@ -62,30 +62,30 @@ def _cells(law: Law) -> tuple[Cell, ...]:
 
 def change(one: Sensitivity) -> str:
     """A sensitivity in words."""
-    if one.least is None:
+    if one.slope == 0:
         return f"insensitive to {one.parameter}"
-    unit = _UNITS.get(one.parameter)
-    size = f"{one.least:.2g} {unit}" if unit else f"{100 * one.least:.2g} %"
-    return f"{one.parameter} {size}"
+    if one.least is None:
+        return (
+            f"no {one.parameter}{f' up to {100 * LARGEST:g} %' if one.parameter not in UNITS else ''} is sure to show"
+        )
+    broken = f" ({size(one.breaks, one.parameter)})" if one.breaks else ""
+    return f"{one.parameter} {size(one.least, one.parameter)}{broken}"
+
+
+def size(change: float, parameter: str) -> str:
+    """A change of a parameter with its unit."""
+    return f"{change:.2g} {UNITS[parameter]}" if parameter in UNITS else f"{100 * change:.2g} %"
 
 
 def sentence(laws: Sequence[Law | Unmeasured]) -> str:
     """The laws of one group in a sentence, which names those that are broken and those that were not measured."""
     measured = [law for law in laws if isinstance(law, Law)]
     judged = [law for law in measured if law.held is not None]
-    broken = [_value(x) + f", predicted {x.predicted:.4g}{_unit(x)}" for x in judged if not x.held]
+    broken = [law.said for law in judged if not law.held]
     said = [f"{laws[0].label}: {len(judged) - len(broken)} of {plural(len(judged), 'law')} in closed form held"]
     said += [f"BROKEN: {'; '.join(broken)}"] * bool(broken)
-    unjudged = [_value(x) for x in measured if x.held is None]
+    unjudged = [law.said for law in measured if law.held is None]
     said += [f"without a verdict: {'; '.join(unjudged)}"] * bool(unjudged)
     missing = [f"{x.title}: {x.reason}" for x in laws if isinstance(x, Unmeasured)]
     said += [f"not measured: {'; '.join(missing)}"] * bool(missing)
     return "; ".join(said)
-
-
-def _value(law: Law) -> str:
-    return f"{law.title} {law.measured:.4g}{_unit(law)}"
-
-
-def _unit(law: Law) -> str:
-    return f" {law.unit}" if law.unit else ""

@@ -13,7 +13,8 @@ from gpusimbench.schemas.text import few
 
 _HOW = (
     "Each pick follows from its rule and from these recordings, and from nothing else. INVALID runs, bodies that went "
-    "through the floor and broken checks of mechanics, in any scene, bar a pick, however good its figures are."
+    "through the floor, broken checks of mechanics and broken laws in closed form, in any scene, bar a pick, however "
+    "good its figures are."
 )
 _NAMED = 6
 

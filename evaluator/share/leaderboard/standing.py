@@ -10,7 +10,7 @@ from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.cost_metrics import common_memory
 from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.results.faults import faults_anywhere
+from gpusimbench.evaluator.results.faults import faults, faults_anywhere
 from gpusimbench.evaluator.results.fidelity import Verdict
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
@@ -211,7 +211,10 @@ def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequ
         sank = result.metrics["sank"]
         also = f" ({sunk:.3g} of {sank.of(SunkCubes).cubes})" if (sunk := known(sank.value)) else ""
         titles = "; ".join(row.check.title for row in wrong)
-        return f"states break mechanics ({result.fidelity.revision.value}): {titles}{also}"
+        said = f"states break mechanics ({result.fidelity.revision.value}): {titles}{also}"
+        return "; ".join(filter(None, (said, faults(result).laws)))
+    if laws := faults(result).laws:
+        return laws
     fps = result.metrics["fps"]
     if isinstance(fps.value, Missing):
         return fps.value.reason

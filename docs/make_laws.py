@@ -1,0 +1,180 @@
+"""Records the scenes with closed-form answers on the engines that are installed, and draws their tables into
+docs/physics.md: which engine keeps which law at which step, and how the measured values change with the step.
+
+usage: python docs/make_laws.py FOLDER [SIMULATOR...]
+
+What FOLDER has already is not recorded again. An engine that is not installed, or does not take a scene, has no row;
+with names of simulators, no others are recorded. The table of FOLDER/power.md, which `python -m benchmarks.law_power
+--out FOLDER/power.md` writes, is put into the page as well.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpusimbench import open_recording
+from gpusimbench.evaluator.results.canonical import Law, laws
+from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
+from gpusimbench.evaluator.runs.physics.laws import laws_of
+
+PAGE = Path(__file__).resolve().parent / "physics.md"
+BEGIN, END = "<!-- {}: docs/make_laws.py -->", "<!-- end of {} -->"
+BASE = 0.01
+STEPS = (0.02, BASE, 0.005)
+FINE = (*STEPS, 0.001)
+"""Steps [s]; MuJoCo C, which is fast on a CPU, is recorded at one more."""
+SECONDS = {"pendulum": 10.0, "sliding-block": 2.0}
+ENVS, SPREAD = 16, 0.8
+HOPS = "highest hop of the level block"
+_TIME = 900  # for one recording [s]
+
+_RUNS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    *((scene, "mujoco", ()) for scene in SECONDS),
+    ("sliding-block", "mujoco", ("--option", "cone=pyramidal")),
+    ("sliding-block", "mujoco", ("--option", "solref=0.04 1")),
+    *((scene, "warp", ()) for scene in SECONDS),
+    ("pendulum", "mjx", ("--impl", "jax")),
+    ("sliding-block", "newton", ("--solver", "xpbd")),
+    ("sliding-block", "newton", ()),
+    ("sliding-block", "brax", ("--solver", "positional")),
+    ("sliding-block", "mjx", ("--impl", "jax")),
+    *((scene, name, ()) for name in ("physx", "sapien", "genesis") for scene in SECONDS),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One engine with its options at one step [s].
+
+    hop  how high the level block rises above where it begins [m], mean over environments; None without blocks
+    """
+
+    engine: str
+    dt: float
+    laws: dict[str, Law]
+    hop: float | None
+
+
+def name_of(scene: str, simulator: str, options: Sequence[str], dt: float) -> str:
+    """Of the folder of a recording."""
+    given = (option.replace("=", "-").replace(" ", "-").strip("-") for option in options)
+    return "-".join([scene, simulator, *given, f"{dt:g}"])
+
+
+def record(folder: Path, chosen: Sequence[str]) -> None:
+    """Record what is not there yet; an engine that fails at its first step is left out at the others."""
+    for scene, simulator, options in _RUNS:
+        for dt in FINE if simulator == "mujoco" and not options else STEPS:
+            target = folder / name_of(scene, simulator, options, dt)
+            if list(target.glob("*.mcap")) or (chosen and simulator not in chosen):
+                continue
+            command = [sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", simulator, *options]
+            command += ["--scene", scene, "--dt", f"{dt:g}", "--steps", f"{round(SECONDS[scene] / dt)}", "--no-view"]
+            command += ["--n-env", f"{ENVS}", "--runs", "1", "--phases", "capture"]
+            command += ["--initial", f"random:{SPREAD:g}", "--out", str(target)]
+            try:
+                done = subprocess.run(
+                    command, check=False, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, timeout=_TIME
+                ).returncode
+            except subprocess.TimeoutExpired:
+                done = -1
+            print(f"{target.name}: exit code {done}", flush=True)
+            if done:
+                break
+
+
+def rows(folder: Path, scene: str) -> Iterator[Row]:
+    """What was recorded of a scene, in the order of the runs, long steps first."""
+    for of, simulator, options in _RUNS:
+        for dt in FINE:
+            found = sorted((folder / name_of(of, simulator, options, dt)).glob("*.mcap")) if of == scene else []
+            for path in found:
+                recording = open_recording(path)
+                if not recording.usable or recording.simulation is None:
+                    continue
+                facts = PhysicsFacts(scene, ENVS, ((0, ENVS - 1),), {}, laws=laws_of(recording))
+                said = " ".join(option for option in options if option != "--option").replace("--", "")
+                engine = f"{simulator} {recording.simulation.version}"
+                hop = None
+                if scene == "sliding-block":
+                    level = recording.state("cubes", "position").field.items.index("level")
+                    height = recording.state("cubes", "position").read(slice(None), slice(None))[:, :, level, 2]
+                    hop = float((height - height[0]).max(axis=0).mean())
+                measured = {law.key: law for law in laws("", [facts]) if isinstance(law, Law)}
+                yield Row(f"{engine}, {said}" if said else engine, dt, measured, hop)
+
+
+def table(found: Sequence[Row]) -> str:
+    """A row for each engine and step, a column for each law; behind a value the change from that at BASE."""
+    titles = {key: law for row in found for key, law in row.laws.items()}
+    heads = [f"{law.title}{f' [{law.unit}]' if law.unit else ''}" for law in titles.values()]
+    predicted = [f"{law.predicted:.4g}" for law in titles.values()]
+    hops = any(row.hop is not None for row in found)
+    heads += [f"{HOPS} [mm]"] if hops else []
+    lines = [f"| engine | step | {' | '.join(heads)} |", f"| --- | ---: {'| ---: ' * len(heads)}|"]
+    lines.append(f"| *predicted* | | {' | '.join([*predicted, *(['0'] if hops else [])])} |")
+    base = {row.engine: row for row in found if row.dt == BASE}
+    for row in found:
+        cells = [cell(row.laws.get(key), base.get(row.engine), row) for key in titles]
+        cells += [f"{1000 * row.hop:.2g}"] if row.hop is not None else []
+        lines.append(f"| {row.engine} | {1000 * row.dt:g} ms | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def cell(law: Law | None, base: Row | None, row: Row) -> str:
+    """A measured value, bold where the law is broken, with the change from the value at BASE."""
+    if law is None:
+        return "-"
+    shown = f"{law.measured:.4g}"
+    shown = shown if law.held else f"**{shown}**"
+    other = base.laws.get(law.key) if base and row is not base else None
+    if other is None:
+        return shown
+    # environments draw the same speeds at every step, so that their predictions agree but for what the law starts from
+    change = law.difference - other.difference
+    relative = f"{100 * change / abs(law.predicted):+.2g} %" if law.predicted else f"{change:+.2g}"
+    return f"{shown} ({relative})"
+
+
+def totals(power: str) -> str:
+    """The outcomes of all rows of the table of benchmarks.law_power together, in a sentence."""
+    found = [[cell.strip() for cell in line.strip("| ").split("|")] for line in power.splitlines() if " of " in line]
+    sums = []
+    for column in (4, 7, 5, 8):
+        pairs = [tuple(map(int, row[column].split(" of "))) for row in found if len(row) > 8 and " of " in row[column]]
+        sums.append(f"{sum(k for k, _ in pairs):,} of {sum(n for _, n in pairs):,}")
+    return (
+        f"All rows together: {sums[0]} pairs with a change were seen, and {sums[1]} verdicts broken; without a change "
+        f"{sums[2]} pairs differed, and {sums[3]} verdicts were broken."
+    )
+
+
+def with_block(page: str, name: str, shown: str) -> str:
+    """A page with what is between its markers replaced."""
+    head, rest = page.split(BEGIN.format(name))
+    return f"{head}{BEGIN.format(name)}\n{shown}\n{END.format(name)}{rest.split(END.format(name))[1]}"
+
+
+def main() -> None:
+    """Record, and write the tables into the page."""
+    if len(sys.argv) < 2:
+        raise SystemExit(__doc__)
+    folder = Path(sys.argv[1]).resolve()
+    record(folder, sys.argv[2:])
+    page = PAGE.read_text(encoding="utf-8")
+    for scene in SECONDS:
+        if found := list(rows(folder, scene)):
+            page = with_block(page, f"laws of {scene}", table(found))
+    power = folder / "power.md"
+    if power.exists():
+        shown = power.read_text(encoding="utf-8").strip()
+        page = with_block(page, "power of the laws", f"{shown} {totals(shown)}")
+    PAGE.write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
