@@ -30,7 +30,9 @@ from tests.recorder import engines
 from tests.recorder.mixed_model import MIXED
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
-EULER = MIXED.replace("implicitfast", "Euler")
+_FEET = "".join(f'<exclude body1="{side}foot" body2="{side}shin"/>' for side in ("left", "right"))
+EULER = MIXED.replace("implicitfast", "Euler").replace("</contact>", f"{_FEET}</contact>")
+# Feet are welded to what shins hang on, so that MuJoCo keeps them apart by itself, and Genesis does not.
 
 # Genesis leaves the picture on its ground planes open
 pytestmark = [
@@ -151,10 +153,10 @@ def test_accelerations(tmp_path: Path) -> None:
 
 
 def test_the_walker() -> None:
-    """Follow MuJoCo C over 60 steps with contacts, a ball joint, springs, and a tendon's motor beside a servo."""
-    genesis, wanted = _both(model_scene("walker", pack(WALKER)), 60)
+    """Follow MuJoCo C over 35 steps with contacts, a ball joint, springs, and a tendon's motor beside a servo."""
+    genesis, wanted = _both(model_scene("walker", pack(WALKER)), 35)
     for name, array in wanted.items():
-        np.testing.assert_allclose(genesis[name], array, atol=1e-5 if "velocity" not in name else 2e-4, err_msg=name)
+        np.testing.assert_allclose(genesis[name], array, atol=1e-5, err_msg=name)
     assert (genesis["joints/qpos"][-1, 0] != genesis["joints/qpos"][-1, 1]).any()
 
 
@@ -176,7 +178,7 @@ HELD = {
     "a servo, a spring and a reference": (
         'damping="1" stiffness="3" ref="10" springref="10"', '<position joint="j" kp="6"/>', ".8",
     ),
-    "a velocity servo": ('damping="1"', '<velocity joint="j" kv="3"/>', "2"),
+    "a velocity servo": ('damping="1"', '<velocity joint="j" kv=".3"/>', "2"),
     "a motor beside a servo": ('damping="1"', '<position joint="j" kp="9"/><motor joint="j" gear="2"/>', ".3 1.5"),
     "two motors, and their limits": (
         'damping="1" actuatorfrcrange="-3 3"',
@@ -206,21 +208,19 @@ def test_what_may_touch(tmp_path: Path) -> None:
         + ball.format("stays", ".3 .3", 1)
         + ball.format("let", "-.3 .3", 1)
         + '<body name="box" pos="2 0 .1"><freejoint/><geom type="box" size=".2 .2 .1" friction=".5"/></body>',
-        '<contact><exclude body1="table" body2="let"/></contact>',
+        '<contact><exclude body1="table" body2="let"/></contact>'
+        f'<keyframe><key qvel="{"0 " * 18}2 0 0 0 0 0"/></keyframe>',
         'timestep="0.005"',
     )
-    scene = _scene(text, tmp_path)
-    genesis, wanted = _both(scene, 200)
+    genesis, wanted = _both(_scene(text, tmp_path), 200)
     heights = genesis["bodies/position"][-1, :, :, 2]
     np.testing.assert_allclose(heights, [[0.1, 0.7, 0.1, 0.1]] * 2, atol=2e-3)
     np.testing.assert_allclose(heights, wanted["bodies/position"][-1, :, :, 2], atol=2e-3)
     simulator: Any = _open[0]
     assert simulator.imported().names["excludes"] == ("let - table",)
-    start = [np.array(array) for array in simulator.state()]
-    start[2][:, 3, 0] = 2.0  # of the box, which lies
-    simulator.set_state(tuple(start))
-    speed = simulator.states(40)[2][:, 0, 3, 0]
-    np.testing.assert_allclose(speed[-1] - speed[9], -0.5 * 9.81 * 30 * 0.005, atol=0.03)
+    speed, wanted_speed = (found["bodies/linear_velocity"][:, 0, 3, 0] for found in (genesis, wanted))
+    assert wanted_speed[20] < 2 - 0.4 * 9.81 * 0.1
+    np.testing.assert_allclose(speed, wanted_speed, atol=5e-3)
 
 
 def test_equalities(tmp_path: Path) -> None:
@@ -268,7 +268,9 @@ def test_what_it_holds(tmp_path: Path) -> None:
     held = simulator.imported()
     found = [f for kind in compare(of_c(mujoco.MjModel.from_xml_string(EULER)), held) for f in kind.findings]
     assert {(f.kind, f.parameter) for f in found} == {("tendons", "")}
-    assert {d.parameter for d in description.deviations} == {"tendons", "option.tolerance"}
+    said = {d.parameter: d for d in description.deviations}
+    assert said.keys() == {"tendons", "option.tolerance", "contact.pairs"}
+    assert said["contact.pairs"].wanted == "stand and arm collide"  # the stand is fixed to the world
     changes = (
         ('mass="2"', 'mass="2.1"'), ("-90 90", "-90 91"), ('name="turn" axis="0 0 1"', 'name="turn" axis="0 0 -1"'),
         ('damping="2"', 'damping="2.1"'), ('size=".05 .2"', 'size=".06 .2"'), ('"5 5 .1"', '"5 5 .1" friction=".9"'),
@@ -378,7 +380,7 @@ def test_what_it_has_otherwise(tmp_path: Path) -> None:
         '<body name="up" gravcomp="1" pos="0 0 1"><joint name="j" stiffness="2" springref="20" frictionloss=".1" '
         'solreffriction=".05 1" range="-9 9" margin=".1" limited="true"/>'
         '<geom name="smooth" size=".1" condim="1" margin=".01" priority="1"/></body>'
-        '<body name="near" pos="1 0 1"><geom name="still" type="box" size=".1 .1 .1"/>'
+        '<body name="near" pos="1 0 1"><geom name="still" type="box" size=".1 .1 .1" friction="0"/>'
         '<body name="arm"><joint name="k" type="ball" limited="true" range="0 40"/>'
         '<geom name="slippery" size=".1" friction="0"/></body></body>',
         option='density="3" viscosity=".1" wind="1 0 0" integrator="RK4" timestep="0.002"><flag damper="disable"/>'
@@ -388,7 +390,7 @@ def test_what_it_has_otherwise(tmp_path: Path) -> None:
     assert {d.parameter for d in description.deviations} == {
         "model.wind", "model.density", "model.viscosity", "bodies.gravity_compensation", "joints.range",
         "joints.spring_reference", "joints.margin", "joints.solreffriction", "geoms.margin", "geoms.priority",
-        "geoms.friction", "contact.condim", "contact.pairs", "option.tolerance", "option.integrator",
+        "contact.friction", "contact.condim", "contact.pairs", "option.tolerance", "option.integrator",
         "option.disableflags",
     }  # fmt: skip
 

@@ -237,7 +237,8 @@ def _refuse(model: Any, file: str) -> None:
     for e in range(model.neq):
         name = model.equality(e).name or f"equality{e}"
         if model.eq_type[e] not in [int(kind) for kind in EQUALITIES]:
-            said.append(f"constraint of equality '{name}', {mjtEq(int(model.eq_type[e])).name[7:].lower()}")
+            word = mjtEq(int(model.eq_type[e])).name.removeprefix("mjEQ_").lower()
+            said.append(f"constraint of equality '{name}', {word}")
         elif not model.eq_active0[e]:
             said.append(f"constraint of equality '{name}', which is off")
         elif not all(_objects(model, e)):
@@ -247,7 +248,7 @@ def _refuse(model: Any, file: str) -> None:
         if has := [word for word in words if np.any(getattr(model, f"tendon_{word}")[t])]:
             said.append(f"tendon '{model.tendon(t).name or f'tendon{t}'}', which has {', '.join(has)}")
     for j in range(model.njnt):
-        if model.jnt_type[j] in (mjtJoint.mjJNT_BALL, mjtJoint.mjJNT_FREE) and np.any(model.jnt_stiffness[j]):
+        if model.jnt_type[j] in (int(mjtJoint.mjJNT_BALL), int(mjtJoint.mjJNT_FREE)) and np.any(model.jnt_stiffness[j]):
             said.append(f"stiffness of joint '{model.joint(j).name or f'joint{j}'}', a ball or free joint")
     said += [f"contact pair {p}, with parameters of its own" for p in range(model.npair)]
     if model.nflex:

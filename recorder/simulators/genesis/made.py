@@ -1,8 +1,7 @@
-"""What Genesis holds of a model file, read from its rigid solver under MuJoCo's names, and what it has otherwise."""
+"""What Genesis holds of a model file, read from its rigid solver under MuJoCo's names."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import mujoco
@@ -10,17 +9,10 @@ import numpy as np
 from mujoco import mjtEq, mjtGeom, mjtJoint, mjtObj
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.scenes.model.contents import choices, solver_options
-from gpusimbench.recorder.simulators.genesis.imported import EQUALITIES, GEOMS, ModelEnvironments, collides
-from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
+from gpusimbench.recorder.simulators.genesis.imported import EQUALITIES, GEOMS, ModelEnvironments
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
-from gpusimbench.recorder.simulators.newton.made import colliding_bodies, different
-from gpusimbench.schemas.imported import PARAMETERS, Imported, Values
-from gpusimbench.schemas.provenance import Deviation
-from gpusimbench.schemas.text import few
+from gpusimbench.schemas.imported import Imported, Values
 
-_READ = "so Genesis holds it"
-_SHOWN = 4  # names of a deviation
 _JOINTS = {  # by number of genesis.JOINT_TYPE
     1: mjtJoint.mjJNT_HINGE, 2: mjtJoint.mjJNT_SLIDE, 3: mjtJoint.mjJNT_BALL, 4: mjtJoint.mjJNT_FREE,
 }  # fmt: skip
@@ -28,13 +20,7 @@ _HALVES = {  # sizes that Genesis has in whole, by kind of shape
     mjtGeom.mjGEOM_CAPSULE: (1.0, 0.5), mjtGeom.mjGEOM_CYLINDER: (1.0, 0.5), mjtGeom.mjGEOM_BOX: (0.5, 0.5, 0.5),
     mjtGeom.mjGEOM_SPHERE: (1.0,), mjtGeom.mjGEOM_ELLIPSOID: (1.0, 1.0, 1.0),
 }  # fmt: skip
-_OFF = (
-    "CONSTRAINT", "EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT", "SPRING", "DAMPER", "PASSIVE", "CLAMPCTRL",
-    "ACTUATION",
-)  # fmt: skip
-"""Of what MuJoCo's flags switch off, what Genesis does all the same."""
-
-_UNREAD = {
+UNREAD = {
     "joints/force_range": "not read; the recorder clamps the forces of actuators",
     "geoms/condim": "Genesis has torsional and rolling friction of all contacts, or of none",
     "actuators": "not read; the recorder makes forces and targets of controls",
@@ -57,7 +43,7 @@ def held(environments: ModelEnvironments, *, dt: float) -> Imported:
     every = of_mujoco.of_c(model).names
     names = {"geoms": [every["geoms"][g] for g in match.geoms]}
     found = of_mujoco.imported(model, read, "Genesis", names)
-    unread = {**found.unread, **_UNREAD}
+    unread = {**found.unread, **UNREAD}
     kept: dict[str, Values] = {key: value for key, value in found.values.items() if key not in unread}
     if model.nexclude:  # the importer makes masks of them
         unread |= dict.fromkeys(("geoms/contype", "geoms/conaffinity"), "excludes and pairs of bodies are compared")
@@ -122,7 +108,7 @@ def _joints(solver: Any, model: Any, match: Any) -> dict[str, NDArray[Any]]:
     kinds = np.array([int(_JOINTS[int(kind)]) for kind in _host(joints.type)[at]], dtype=np.int64)
     slides = (kinds == int(mjtJoint.mjJNT_SLIDE))[:, np.newaxis]
     limits = _host(dofs.limit)[first]
-    parameters = _as_stated(_host(joints.sol_params)[at], np.asarray(model.jnt_solref), solver, model)
+    parameters = _as_stated(_host(joints.sol_params)[at], (model.jnt_solref, model.jnt_solimp), _least(solver, model))
     zero = _host(solver.qpos0)
     zero = zero if zero.ndim == 1 else zero[:, 0]
     of_link = {int(link): body for body, link in enumerate(match.links)}
@@ -157,7 +143,7 @@ def _geoms(solver: Any, model: Any, match: Any) -> dict[str, NDArray[Any]]:
     friction = np.stack([_host(getattr(geoms, name)) for name in coefficients], axis=1)
     condim = np.asarray(model.geom_condim)[at]
     without_effect = np.stack([condim < 0, condim < 4, condim < 6], axis=1)  # friction against turning, and rolling
-    parameters = _host(geoms.sol_params)
+    parameters = _as_stated(_host(geoms.sol_params), (model.geom_solref[at], model.geom_solimp[at]), 0.0)
     of_link = {int(link): body for body, link in enumerate(match.links)}
     points = [np.asarray(geom.init_verts, dtype=np.float64) for geom in solver.geoms]
     counts = np.array([len(verts) for verts in points], dtype=np.int64)
@@ -182,7 +168,9 @@ def _geoms(solver: Any, model: Any, match: Any) -> dict[str, NDArray[Any]]:
 def _equalities(solver: Any, model: Any, match: Any) -> dict[str, NDArray[Any]]:
     equalities, count = solver.dyn_info.equalities, len(solver.equalities)
     kinds = np.array([int(EQUALITIES[int(kind)]) for kind in _host(equalities.eq_type)[:count, 0]], dtype=np.int64)
-    parameters = _as_stated(_host(equalities.sol_params)[:count, 0], np.asarray(model.eq_solref), solver, model)
+    parameters = _as_stated(
+        _host(equalities.sol_params)[:count, 0], (model.eq_solref, model.eq_solimp), _least(solver, model)
+    )
     numbers = {}
     for key in ("eq_obj1id", "eq_obj2id"):
         things = []
@@ -203,26 +191,34 @@ def _equalities(solver: Any, model: Any, match: Any) -> dict[str, NDArray[Any]]:
     }
 
 
-def _as_stated(parameters: NDArray[Any], solref: NDArray[np.float64], solver: Any, model: Any) -> NDArray[np.float64]:
-    """Genesis holds time constants of two steps at least. MuJoCo takes them so as it steps (refsafe), and holds what
-    the model states."""
-    found = parameters.astype(np.float64)
-    least = np.float32(2 * solver._substep_dt)
+def _as_stated(parameters: NDArray[Any], stated: tuple[Any, Any], least: float) -> NDArray[np.float64]:
+    """Solver parameters, solref and solimp, as the model states them where Genesis holds what MuJoCo makes of them as
+    it steps: time constants of two steps at least, and impedances within MuJoCo's range.
+
+    least  time constant [s]; 0: any
+    """
+    own = np.concatenate(stated, axis=1).astype(np.float64)
+    used = own.copy()
+    used[:, 0] = np.where((own[:, 0] > 0) & (own[:, 0] < least), least, own[:, 0])
+    used[:, [2, 3, 5]] = np.clip(used[:, [2, 3, 5]], mujoco.mjMINIMP, mujoco.mjMAXIMP)
+    used[:, 4], used[:, 6] = np.maximum(used[:, 4], 0), np.maximum(used[:, 6], 1)
+    return np.where(np.abs(parameters - used) <= 1e-6 * np.maximum(1, np.abs(used)), own, parameters)
+
+
+def _least(solver: Any, model: Any) -> float:
     safe = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)
-    raised = safe & (solref[:, 0] > 0) & (solref[:, 0] < least) & (np.abs(found[:, 0] - least) < 1e-6)
-    found[raised, 0] = solref[raised, 0]
-    return found
+    return 2 * float(solver._substep_dt) if safe else 0.0
 
 
 def _excluded(environments: ModelEnvironments) -> NDArray[Any]:
     """Of the pairs of bodies that the model excludes, those that do not collide."""
-    touching = _touching(environments)
+    together = touching(environments)
     signatures = np.asarray(environments.compiled.model.exclude_signature)
-    apart = [tuple(sorted((int(s) >> 16, int(s) & 0xFFFF))) not in touching for s in signatures]
+    apart = [tuple(sorted((int(s) >> 16, int(s) & 0xFFFF))) not in together for s in signatures]
     return np.asarray(signatures[np.array(apart, dtype=bool)])
 
 
-def _touching(environments: ModelEnvironments) -> set[tuple[int, int]]:
+def touching(environments: ModelEnvironments) -> set[tuple[int, int]]:
     """Pairs of MuJoCo's bodies with geoms that Genesis' collider may find in contact."""
     solver, model, match = environments.solver, environments.compiled.model, environments.match
     if not len(match.geoms):
@@ -230,101 +226,6 @@ def _touching(environments: ModelEnvironments) -> set[tuple[int, int]]:
     pairs = np.argwhere(_host(solver.collider.collider_info.collision_pair_idx) >= 0)
     body = np.asarray(model.geom_bodyid)[match.geoms]
     return {(min(a, b), max(a, b)) for a, b in ((int(body[g]), int(body[h])) for g, h in pairs)}
-
-
-def deviations_of_model(environments: ModelEnvironments, known: Imported, options: GenesisOptions) -> list[Deviation]:
-    """What Genesis has otherwise than MuJoCo compiles a model file: the engine's numbers compared with MuJoCo's, and
-    what is not the same by the nature of the engine."""
-    model = environments.compiled.model
-    found = list(_of_parameters(of_mujoco.of_c(model), known))
-    found += _of_joints(model)
-    found += _of_contacts(environments)
-    found += _of_options(model, options, environments.solver)
-    return found
-
-
-def _of_parameters(reference: Imported, known: Imported) -> Iterator[Deviation]:
-    for parameter in PARAMETERS:
-        labels = known.names.get(parameter.kind, ())
-        wanted, used = reference.values.get(parameter.key), known.values.get(parameter.key)
-        if wanted is None or not labels:
-            continue
-        every = reference.names[parameter.kind]
-        wanted = wanted[[every.index(label) for label in labels if label in every]]
-        if len(wanted) < len(labels):
-            yield Deviation(f"{parameter.kind}.count", f"{len(wanted)}", f"{len(labels)}", _READ)
-            continue
-        name = f"{parameter.kind}.{parameter.name}"
-        if used is None:
-            default = parameter.default
-            if default is None or wanted.dtype.kind == "U":
-                continue
-            numbers = wanted.astype(np.float64)
-            rows = np.flatnonzero(((np.abs(numbers) != default) & ~np.isnan(numbers)).any(axis=1))
-            if len(rows) and parameter.key not in _UNREAD:
-                texts = [f"{labels[row]} {' '.join(f'{x:.6g}' for x in numbers[row])}" for row in rows]
-                yield Deviation(name, few(texts, _SHOWN), "none", f"Genesis has no {parameter.name}")
-        elif wanted.dtype.kind == "U":
-            apart = [row for row in range(len(labels)) if wanted[row].tolist() != used[row].tolist()]
-            if apart:
-                said = [few([f"{labels[row]} {array[row, 0]}" for row in apart], _SHOWN) for array in (wanted, used)]
-                yield Deviation(name, said[0], said[1], _READ)
-        else:
-            width = min(wanted.shape[1], used.shape[1])
-            both = [array[:, :width].astype(np.float64) for array in (wanted, used)]
-            yield from different(name, list(labels), both, _READ)
-
-
-def _of_joints(model: Any) -> Iterator[Deviation]:
-    names = [model.joint(int(j)).name or f"joint{j}" for j in model.dof_jntid]
-    own = np.concatenate([model.jnt_solref, model.jnt_solimp], axis=1)[np.asarray(model.dof_jntid, dtype=np.int64)]
-    given = np.concatenate([model.dof_solref, model.dof_solimp], axis=1)
-    apart = np.flatnonzero((np.asarray(model.dof_frictionloss) != 0) & (own != given).any(axis=1))
-    if len(apart):
-        yield Deviation(
-            "joints.solreffriction", f"of {few([names[d] for d in apart], _SHOWN)}", "that of the joint's limit",
-            "Genesis has one set of solver parameters a joint",
-        )  # fmt: skip
-    if model.ntendon:
-        labels = [model.tendon(t).name or f"tendon{t}" for t in range(model.ntendon)]
-        yield Deviation(
-            "tendons", few(labels, _SHOWN), "none", "Genesis has no tendons; the recorder makes forces of their motors"
-        )
-
-
-def _of_contacts(environments: ModelEnvironments) -> Iterator[Deviation]:
-    model = environments.compiled.model
-    labels = of_mujoco.of_c(model).names["bodies"]
-    wanted, used = colliding_bodies(model, np.arange(model.nbody)), _touching(environments)
-    for pairs, word, other in (
-        (wanted - used, "collide", "do not collide"), (used - wanted, "do not collide", "collide"),
-    ):  # fmt: skip
-        if pairs:
-            listed = [f"{labels[a]} and {labels[b]}" for a, b in sorted(pairs)]
-            yield Deviation("contact.pairs", f"{few(listed, _SHOWN)} {word}", other, "by Genesis' rules of pairs")
-    shapes = [g for g in range(model.ngeom) if collides(model, g)]
-    smooth = [model.geom(g).name or f"geom{g}" for g in shapes if model.geom_condim[g] == 1]
-    if smooth:
-        yield Deviation(
-            "contact.condim", f"no friction where both are of {few(smooth, _SHOWN)}", "friction of the geoms",
-            "Genesis' contacts all have friction",
-        )  # fmt: skip
-
-
-def _of_options(model: Any, options: GenesisOptions, solver: Any) -> Iterator[Deviation]:
-    said, words = solver_options(model), choices()
-    for name, wanted in said.items():
-        used: Any = getattr(options, name)
-        if name in ("tolerance", "impratio"):
-            used = float(getattr(solver._options, name))
-        same = wanted == used if name in words else float(wanted) == float(used)
-        if not same:
-            reason = "an option of Genesis" if name != "integrator" else "Genesis has no other that is as near"
-            yield Deviation(f"option.{name}", str(wanted), str(used), reason)
-    flags = int(model.opt.disableflags)
-    off = [name.lower() for name in _OFF if flags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0))]
-    if off:
-        yield Deviation("option.disableflags", f"without {', '.join(off)}", "with it", "Genesis is given no such flag")
 
 
 def _host(array: Any) -> NDArray[Any]:

@@ -149,7 +149,8 @@ class Genesis(Simulator):
         self._imported: Imported | None = None
         if not isinstance(self.scene, ModelScene):
             return []
-        from gpusimbench.recorder.simulators.genesis.made import deviations_of_model, held
+        from gpusimbench.recorder.simulators.genesis.made import held
+        from gpusimbench.recorder.simulators.genesis.model_deviations import deviations_of_model
 
         self._imported = held(self._model, dt=self.dt)
         return deviations_of_model(self._model, self._imported, options)
