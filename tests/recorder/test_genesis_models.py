@@ -223,6 +223,21 @@ def test_what_may_touch(tmp_path: Path) -> None:
     np.testing.assert_allclose(speed, wanted_speed, atol=5e-3)
 
 
+def test_friction_against_turning(tmp_path: Path) -> None:
+    """Brake a ball that rolls and one that spins on the spot as MuJoCo C does, where condim asks for it."""
+    text = _world(
+        '<geom type="plane" size="5 5 .1" condim="6" friction="1 .05 .01"/>'
+        '<body name="rolls" pos="0 0 .1"><freejoint/><geom size=".1" condim="6" friction="1 .05 .01"/></body>'
+        '<body name="spins" pos="2 0 .05"><freejoint/><geom size=".05" condim="4" friction="1 .05 .01"/></body>',
+        '<keyframe><key qvel="1 0 0 0 10 0 0 0 0 0 0 20"/></keyframe>',
+    )
+    genesis, wanted = _both(_scene(text, tmp_path), 200)
+    turning = wanted["bodies/angular_velocity"][-1, 0]
+    assert turning[0, 1] < 8 and turning[1, 2] < 1
+    for name, array in wanted.items():
+        np.testing.assert_allclose(genesis[name], array, atol=1e-4, err_msg=name)
+
+
 def test_equalities(tmp_path: Path) -> None:
     """Close a loop by a connect constraint and couple two hinges, as MuJoCo C does, and hold their parameters."""
     bar = '<geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03" contype="0" conaffinity="0"/>'
