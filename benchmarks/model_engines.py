@@ -40,6 +40,7 @@ ENGINES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
     "physx": ("physx", {"device": "cpu"}, {}),
     "physx-pgs": ("physx", {"device": "cpu", "solver": "PGS"}, {}),
     "genesis": ("genesis", {"device": "cpu"}, {}),
+    "genesis-64": ("genesis", {"device": "cpu", "precision": "64"}, {}),
 }
 """By name of a column, the simulator, its options, and those that replace a constraint solver that it does not know."""
 
