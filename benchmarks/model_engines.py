@@ -1,13 +1,13 @@
 """Which of Gymnasium's models run on which engine, and how far from MuJoCo C they are after some steps.
 
-usage: python -m benchmarks.model_engines [--models NAME,NAME] [--engines NAME,NAME] [--steps 20]
+usage: python -m benchmarks.model_engines [--models NAME,NAME] [--engines NAME,NAME] [--steps 20] [--integrator Euler]
 
 Each engine runs in a process of its own, of the Python that gsb-record would take for it, on the CPU, with two
 environments and random controls, the same for all engines. A cell is the largest difference of a position, orientation
 or joint coordinate from MuJoCo C after the steps [m, rad], what of the model the engine has otherwise, or why it was
 refused. Where an engine does not know the file's
-constraint solver (PGS), it is asked for Newton instead, which is marked with *. Prints a Markdown table, which
-docs/how-to/my-robot.md has.
+constraint solver (PGS), it is asked for Newton instead, which is marked with *. --integrator replaces the file's on
+MuJoCo C alone, for engines that have no other. Prints a Markdown table, which docs/how-to/my-robot.md has.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ ENGINES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
     "newton-featherstone": ("newton", {"solver": "featherstone"}, {}),
     "physx": ("physx", {"device": "cpu"}, {}),
     "physx-pgs": ("physx", {"device": "cpu", "solver": "PGS"}, {}),
+    "genesis": ("genesis", {"device": "cpu"}, {}),
+    "genesis-64": ("genesis", {"device": "cpu", "precision": "64"}, {}),
 }
 """By name of a column, the simulator, its options, and those that replace a constraint solver that it does not know."""
 
@@ -46,6 +48,7 @@ N_ENV = 2
 _COMPARED = ("position", "orientation", "qpos")
 _EXPECTED = (
     "option", "contact.solref", "contact.friction_combination", "contact.friction", "option.disableflags",
+    "option.tolerance",
 )  # fmt: skip
 """Deviations that every model has on an engine, or none that moves."""
 
@@ -56,17 +59,18 @@ def main() -> None:
     p.add_argument("--models", default="")
     p.add_argument("--engines", default=",".join(ENGINES))
     p.add_argument("--steps", type=int, default=20)
+    p.add_argument("--integrator", default="")
     p.add_argument("--one", help=argparse.SUPPRESS)
     p.add_argument("files", nargs="*", type=Path, help=argparse.SUPPRESS)
     asked = p.parse_args()
     if asked.one:
         for path in asked.files:
-            print(json.dumps([path.stem, _cell(path, asked.one, asked.steps)]), flush=True)
+            print(json.dumps([path.stem, _cell(path, asked.one, asked.steps, asked.integrator)]), flush=True)
         return
     models = [path for path in _models() if not asked.models or path.stem in asked.models.split(",")]
     columns = {}
     for engine in asked.engines.split(","):
-        given = ["--one", engine, "--steps", str(asked.steps), *map(str, models)]
+        given = ["--one", engine, "--steps", str(asked.steps), "--integrator", asked.integrator, *map(str, models)]
         chosen = interpreter_for(find_simulator(ENGINES[engine][0]))
         with tempfile.TemporaryDirectory() as folder:
             environment = chosen.environment(Path(folder))
@@ -88,10 +92,10 @@ def _models() -> list[Path]:
     return sorted((Path(str(found.origin)).parent / "envs" / "mujoco" / "assets").glob("*.xml"))
 
 
-def _cell(path: Path, engine: str, steps: int) -> str:
+def _cell(path: Path, engine: str, steps: int, integrator: str) -> str:
     simulator, options, instead = ENGINES[engine]
     scene = model_scene(path.stem, pack(path))
-    wanted, _ = _run("mujoco", scene, {}, steps)
+    wanted, _ = _run("mujoco", scene, {"integrator": integrator} if integrator else {}, steps)
     marks = ("", "*") if instead and scene.solver["solver"] == "PGS" else ("",)
     for mark in marks:
         try:

@@ -25,38 +25,9 @@ from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.schemas.model_files import pack
 from tests.recorder import engines
+from tests.recorder.mixed_model import MIXED
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
-
-LEG = """
-  <body name="{side}thigh" pos="{y} 0 -.1" quat=".9 .1 .3 0">
-    <joint name="{side}hip" axis="0 1 .2" pos="0 0 .02" range="-80 60" ref="10" damping=".4" armature=".02"/>
-    <geom type="capsule" fromto="0 0 0 .1 0 -.3" size=".04" mass="1.2"/>
-    <body name="{side}foot" pos=".1 0 -.3"><geom type="box" size=".08 .04 .02" pos=".05 0 0" mass=".3"/></body>
-    <body name="{side}shin" pos=".1 0 -.3" euler="0 20 5">
-      <joint name="{side}knee" axis="1 0 0" range="-1 90" damping=".1"/>
-      <joint name="{side}roll" axis="0 0 1" pos=".01 .02 0" range="-90 90" armature=".01"/>
-      <joint name="{side}reach" type="slide" axis="0 .3 -1" range="-.5 .5" damping="2"/>
-      <geom type="cylinder" size=".03 .15" pos="0 .03 -.15" mass=".7"/>
-    </body>
-  </body>"""
-
-MIXED = f"""<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody>
-  <geom type="plane" size="5 5 .1"/>
-  <body name="trunk" pos="0 0 5" quat=".9 .2 -.1 .3"><freejoint/>
-    <geom type="box" size=".2 .1 .1" pos=".05 -.02 .03" mass="4" euler="10 20 30"/>{LEG.format(side="left", y=".25")}
-  </body>
-  <body name="stand" pos="2 0 5" euler="0 0 40"><geom type="sphere" size=".1"/>
-    <body name="arm" pos="0 .2 .3"><joint name="turn" axis="0 0 1"/><joint name="lift" type="slide" axis="0 0 1"/>
-      <geom type="capsule" size=".05 .2" mass="2" pos=".2 0 0" euler="0 90 0"/>{LEG.format(side="right", y=".4")}
-    </body>
-  </body></worldbody>
-  <contact><exclude body1="left_thigh" body2="left_shin"/></contact>
-  <tendon><fixed name="both"><joint joint="righthip" coef=".5"/><joint joint="rightknee" coef="-2"/></fixed></tendon>
-  <actuator><motor name="m" joint="lefthip" gear="30" ctrlrange="-1 1" ctrllimited="true"/>
-    <motor name="t" tendon="both" gear="3"/><motor name="s" joint="lift" gear="9" forcerange="-4 4"/>
-    <position name="p" joint="turn" kp="20" kv="1"/><velocity name="v" joint="rightroll" kv=".3"/></actuator>
-</mujoco>""".replace("left_thigh", "leftthigh").replace("left_shin", "leftshin")
 
 
 def _scene(text: str, folder: Path, **more: str) -> ModelScene:

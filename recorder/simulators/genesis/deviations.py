@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
+from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.schemas.provenance import Deviation
 
@@ -13,6 +14,8 @@ def deviations(scene: Scene, options: GenesisOptions) -> tuple[Deviation, ...]:
     materials = {body.material.name: body.material for body in scene.bodies}
     if scene.robot is not None:
         materials[scene.robot.material.name] = scene.robot.material
+    if isinstance(scene, ModelScene):
+        return ()  # its contacts are compared with MuJoCo's, whose rule for a pair is the same
     found = [
         Deviation(
             "contact.friction_combination",

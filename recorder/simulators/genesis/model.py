@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,139 +13,147 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Body, Box, Plane, Scene, Sphere
 from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
+from gpusimbench.recorder.simulators.captured import States
+from gpusimbench.recorder.simulators.genesis.environments import Drive, Environments, empty_scene, on_device
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.genesis.sizes import Sizes
 from gpusimbench.recorder.simulators.mujoco.layout import rotate_to_body
 from gpusimbench.recorder.simulators.snapshot import Envs
+from gpusimbench.schemas.fields import StateField, body_fields, joint_field
+
+_LINK = 13  # position 3, orientation wxyz 4, linear velocity 3, angular velocity 3
+_COLUMNS = (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13))
+_HINGE = 2  # angle, speed
 
 
-@dataclass(frozen=True)
-class Model:
-    """N environments of a scene, built.
+class SceneEnvironments(Environments):
+    """N environments of a registered scene."""
 
-    scene   genesis.Scene
-    solver  its rigid solver
-    links   index in the solver of each moving body, in the order of Scene.moving
-    joints  index in the solver of each joint's degree of freedom, in the robot's order
-    xml     MJCF of the robot, empty where there is none
-    """
+    def __init__(self, made: Any, scene: Scene, *, entities: Mapping[str, Any], robot: Any, xml: str) -> None:
+        """Environments that were built, in the scene's first state.
 
-    scene: Any
-    solver: Any
-    links: NDArray[np.int64]
-    joints: NDArray[np.int64]
-    xml: str
-    _described: Scene
-    _entities: dict[str, Any]
-    _robot: Any
+        made      genesis.Scene
+        entities  by name of the body
+        robot     entity of the robot; None where there is none
+        xml       MJCF of the robot, empty where there is none
+        """
+        super().__init__(made)
+        self._described, self._robot, self._xml = scene, robot, xml
+        self._moving = [(body, entities[body.name].base_link) for body in scene.moving()]
+        self._links = np.array([link.idx for _, link in self._moving], dtype=np.int64)
+        joints = [] if scene.robot is None else [robot.get_joint(joint.name) for joint in scene.robot.joints()]
+        self._joints = np.array([joint.dof_start for joint in joints], dtype=np.int64)
+        self._angles = [joint.q_start for joint in joints]
+        places = {body.name: index for index, (body, _) in enumerate(self._moving)}
+        self._groups = [[places[name] for name in names] for names in scene.groups().values()]
+        self._n_link = int(self.solver.n_links) if self._moving else 0
+        self.width = self._n_link * _LINK + len(self._joints) * _HINGE
+        self.place()
 
-    def reset(self, envs: Envs = None) -> None:
-        """Bring environments to the scene's initial state."""
-        self.scene.reset(envs_idx=envs)
-        self.place(envs)
+    def fields(self, dtype: str) -> tuple[StateField, ...]:
+        """See Environments.fields."""
+        bodies = body_fields(self._described.groups(), dtype)
+        if self._described.robot is None:
+            return tuple(bodies)
+        joints = tuple(joint.name for joint in self._described.robot.joints())
+        return (*bodies, joint_field("robot", "qpos", dtype, joints), joint_field("robot", "qvel", dtype, joints))
+
+    def store(self, row: Any) -> None:
+        """See Environments.store: of every link, then of every joint."""
+        solver, n_env = self.solver, len(row)
+        links = row[:, : self._n_link * _LINK].view(n_env, self._n_link, _LINK)
+        if self._n_link:
+            links[..., 0:3] = solver.get_links_pos()
+            links[..., 3:7] = solver.get_links_quat()
+            links[..., 7:10] = solver.get_links_vel()
+            links[..., 10:13] = solver.get_links_ang()
+        if len(self._joints):
+            joints = row[:, self._n_link * _LINK :].view(n_env, len(self._joints), _HINGE)
+            joints[..., 0] = solver.get_dofs_position(self._joints)
+            joints[..., 1] = solver.get_dofs_velocity(self._joints)
+
+    def split(self, rows: NDArray[np.floating]) -> States:
+        """See Environments.split."""
+        shape = rows.shape[:2]
+        links = rows[..., : self._n_link * _LINK].reshape(*shape, self._n_link, _LINK)[:, :, self._links]
+        arrays: list[NDArray[np.floating]] = []
+        for group in self._groups:
+            of_group = links[:, :, group]
+            arrays += [of_group[..., columns] for columns in _COLUMNS]
+        if self._described.robot is not None:
+            joints = rows[..., self._n_link * _LINK :].reshape(*shape, len(self._joints), _HINGE)
+            arrays += [joints[..., 0:1], joints[..., 1:2]]
+        return tuple(arrays)
 
     def place(self, envs: Envs = None) -> None:
-        """Give the bodies their speeds and the robot its angles, which entities are not described with."""
+        """See Environments.place: the speeds of bodies and the angles of the robot, which entities are not described
+        with."""
         n_env = self.scene.n_envs if envs is None else len(envs)
         speeds = np.zeros((n_env, self.solver.n_dofs))
-        for body, link in self._moving():
+        for body, link in self._moving:
             # of a free joint: linear in the world frame, angular in the body's
             speeds[:, link.dof_start : link.dof_start + 3] = body.linear_velocity
             speeds[:, link.dof_start + 3 : link.dof_end] = rotate_to_body(
                 np.array(body.orientation), np.array(body.angular_velocity)
             )
-        if self._robot is not None and self._described.robot is not None:
+        if self._described.robot is not None:
             start = np.array(self._described.robot.start)
             self._robot.set_qpos(np.repeat(start[None], n_env, axis=0), envs_idx=envs)
         self.solver.set_dofs_velocity(speeds, envs_idx=envs)
 
-    def give(self, links: NDArray[np.floating], joints: NDArray[np.floating], envs: Envs) -> None:
-        """Give environments that were just reset other poses and velocities.
-
-        links   [env of envs, body, 13] in the order of Scene.moving: position, orientation wxyz, linear and angular
-                velocity in the world frame
-        joints  [env of envs, joint, 2]: angles and speeds
-        """
+    def give(self, states: States, envs: Envs) -> None:
+        """See Environments.give."""
         qpos = self.solver.get_qpos(envs_idx=envs).cpu().numpy().copy()
         speeds = self.solver.get_dofs_velocity(envs_idx=envs).cpu().numpy().astype(np.float64)
-        for place, (_, link) in enumerate(self._moving()):
+        left = iter(states)
+        links = np.empty((len(states[0]), len(self._links), _LINK), dtype=states[0].dtype)
+        for group in self._groups:
+            for columns in _COLUMNS:
+                links[:, group, columns] = next(left)
+        for place, (_, link) in enumerate(self._moving):
             given = links[:, place]
             qpos[:, link.q_start : link.q_start + 7] = given[:, :7]
             speeds[:, link.dof_start : link.dof_start + 3] = given[:, 7:10]
             numbers = given.astype(np.float64)
             speeds[:, link.dof_start + 3 : link.dof_end] = rotate_to_body(numbers[:, 3:7], numbers[:, 10:13])
-        if self._robot is not None and self._described.robot is not None:
-            angles = [self._robot.get_joint(joint.name).q_start for joint in self._described.robot.joints()]
-            qpos[:, angles], speeds[:, self.joints] = joints[..., 0], joints[..., 1]
+        if self._described.robot is not None:
+            qpos[:, self._angles], speeds[:, self._joints] = next(left)[..., 0], next(left)[..., 0]
         self.solver.set_qpos(qpos, envs_idx=envs)
         self.solver.set_dofs_velocity(speeds, envs_idx=envs)
 
-    def _moving(self) -> list[tuple[Body, Any]]:
-        return [(body, self._entities[body.name].base_link) for body in self._described.moving()]
+    def drives(self, actions: NDArray[np.floating]) -> Sequence[Drive]:
+        """See Environments.drives: targets of the robot's servos."""
+        return [Drive(self.solver.control_dofs_position, on_device(actions), self._joints)]
+
+    def applied(self) -> NDArray[np.float32] | None:
+        """See Simulator.applied."""
+        if self._described.actions is None:
+            return None
+        held = self.solver.dyn_state.dofs.ctrl_pos.to_numpy()  # [degree of freedom, env]
+        return np.ascontiguousarray(held[self._joints].T, dtype=np.float32)
+
+    def attachments(self) -> dict[str, tuple[str, bytes]]:
+        """See Environments.attachments."""
+        return {"robot.xml": ("application/xml", self._xml.encode())} if self._xml else {}
 
 
-def build_model(genesis: Any, scene: Scene, *, n_env: int, dt: float, options: GenesisOptions, sizes: Sizes) -> Model:
-    """Build n_env environments of a scene in its initial state on the initialised engine.
+def build_scene(
+    genesis: Any, scene: Scene, *, n_env: int, dt: float, options: GenesisOptions, sizes: Sizes
+) -> SceneEnvironments:
+    """Build n_env environments of a registered scene in its initial state on the initialised engine.
 
     genesis.GenesisException for what it does not accept.
     """
-    made = genesis.Scene(
-        sim_options=genesis.options.SimOptions(dt=dt, substeps=options.substeps, gravity=scene.gravity),
-        rigid_options=genesis.options.RigidOptions(**_rigid_options(genesis, options, sizes)),
-        profiling_options=genesis.options.ProfilingOptions(show_FPS=False),
-        show_viewer=False,
-    )
+    made = empty_scene(genesis, scene.gravity, dt, options, sizes)
     entities = {body.name: _add(genesis, made, body) for body in scene.bodies}
-    robot: Any = None
-    xml, joints = "", []
+    robot, xml = None, ""
     if scene.robot is not None:
         xml = emit_mjcf(replace(scene, bodies=()), dt=dt, option={}, geom={})
         robot = made.add_entity(
             genesis.morphs.MJCF(file=ET.fromstring(xml), default_armature=None, visualization=False)
         )
     made.build(n_envs=n_env)
-    if scene.robot is not None:
-        joints = [robot.get_joint(joint.name).dof_start for joint in scene.robot.joints()]
-    model = Model(
-        scene=made,
-        solver=made.rigid_solver,
-        links=np.array([entities[body.name].base_link.idx for body in scene.moving()], dtype=np.int64),
-        joints=np.array(joints, dtype=np.int64),
-        xml=xml,
-        _described=scene,
-        _entities=entities,
-        _robot=robot,
-    )
-    model.place()
-    return model
-
-
-def _rigid_options(genesis: Any, options: GenesisOptions, sizes: Sizes) -> dict[str, Any]:
-    chosen: dict[str, Any] = {
-        "integrator": genesis.integrator[options.integrator],
-        "constraint_solver": genesis.constraint_solver[options.solver],
-        "iterations": options.iterations,
-        "ls_iterations": options.ls_iterations,
-        "noslip_iterations": options.noslip_iterations,
-        "friction_cone": genesis.friction_cone[options.cone],
-        "constraint_timeconst": options.constraint_timeconst,
-        "use_gjk_collision": options.use_gjk_collision,
-        "box_box_detection": options.box_box_detection,
-        "enable_mujoco_compatibility": options.mujoco_compatibility,
-        "enable_neutral_collision": True,  # the scene says which links never collide
-        "max_collision_pairs": sizes.pairs,
-        "max_contacts": sizes.contacts,
-        "multiplier_collision_broad_phase": options.broad_phase_multiplier,
-    }
-    if options.tolerance:
-        chosen["tolerance"] = options.tolerance
-    if options.impratio:
-        chosen["impratio"] = options.impratio
-    if options.contact_resolution != "auto":
-        chosen["contact_resolution"] = genesis.contact_resolution[options.contact_resolution]
-    if options.broadphase != "auto":
-        chosen["broadphase_traversal"] = genesis.broadphase_traversal[options.broadphase]
-    return chosen
+    return SceneEnvironments(made, scene, entities=entities, robot=robot, xml=xml)
 
 
 def _add(genesis: Any, made: Any, body: Body) -> Any:

@@ -7,25 +7,35 @@ the device, which is read once it is full.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.options import names_of, parse_options
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.genesis import runtime
 from gpusimbench.recorder.simulators.genesis.deviations import deviations
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
-from gpusimbench.schemas.fields import StateField, body_fields, joint_field
+from gpusimbench.schemas.imported import Imported
+from gpusimbench.schemas.provenance import Deviation
+
+if TYPE_CHECKING:
+    from gpusimbench.recorder.simulators.genesis.sizes import Sizes
 
 _RING_ROWS = 50
 _RING_BYTES = 512 << 20
+
+_NEAREST = {"integrator": {"RK4": "Euler", "implicit": "implicitfast"}, "solver": {"PGS": "Newton"}}
+"""Words of a model for options that Genesis has no such word for, and what is used instead."""
 
 _LEVELS = {"default": None, "off": False, "run-to-run": True}  # use_deterministic_algorithms
 
@@ -42,7 +52,7 @@ class Genesis(Simulator):
     """N environments on Genesis."""
 
     Options = GenesisOptions
-    abilities = BODIES - {Ability.CAPSULES} | ROBOTS
+    abilities = BODIES - {Ability.CAPSULES} | ROBOTS | {Ability.MODELS}
     timing_interval = 10  # Genesis itself waits for the device at every tenth substep, to look at its error codes
     levels_without_effect = {
         "cpu": dict.fromkeys(("off", "run-to-run"), "on a CPU there is one implementation, and nothing to choose")
@@ -56,19 +66,33 @@ class Genesis(Simulator):
         "same hardware",
     }
 
+    @classmethod
+    def parsed(cls, name: str, scene: Scene, given: Mapping[str, str]) -> Any:
+        """See Simulator.parsed: where the user says nothing, a model's own options, as far as Genesis has them.
+
+        The tolerance is the engine's at single precision, which does not come to MuJoCo's.
+        """
+        given = {option: value for option, value in given.items() if option not in scene.own_options}
+        if isinstance(scene, ModelScene):
+            own = scene.options({}, names_of(cls.Options))
+            if given.get("precision", "32") != "64":
+                own.pop("tolerance", None)
+            nearest = {option: _NEAREST.get(option, {}).get(word, word) for option, word in own.items()}
+            given = {**nearest, "contact_resolution": "convex", **given}
+        return parse_options(name, cls.Options, given)
+
     def build(self) -> Description:
         """See Simulator.build."""
         options: GenesisOptions = self.options
+        compiled = self._compiled(options)
         genesis = self._genesis = runtime.start(options, deterministic=_LEVELS[self.determinism], seed=self.seed)
         from gpusimbench.recorder.simulators.genesis.keep import Keep
-        from gpusimbench.recorder.simulators.genesis.model import build_model
         from gpusimbench.recorder.simulators.genesis.ring import Ring
-        from gpusimbench.recorder.simulators.genesis.sizes import choose_sizes
         from gpusimbench.recorder.simulators.genesis.watch import COUNTERS, Watch, buffers
 
-        sizes = choose_sizes(self.scene, dt=self.dt, seed=self.seed, options=options)
         with self._refusals():
-            self._model = build_model(genesis, self.scene, n_env=self.n_env, dt=self.dt, options=options, sizes=sizes)
+            sizes = self._make(compiled, options)
+        of_model = self._read(options)
         self._watch = Watch(self._model.solver)
         self._keep = Keep(self._model.solver)
         self._done = 0  # steps since the build, or since all were brought back
@@ -76,23 +100,60 @@ class Genesis(Simulator):
         self._last = Ring(self._model, self._watch, 1)
         self._ring: Ring | None = None
         self._counted: Evidence | None = None
-        self._targets: Any = None
-        self._next_target = 0
-        places = {body.name: index for index, body in enumerate(self.scene.moving())}
-        self._groups = [[places[name] for name in names] for names in self.scene.groups().values()]
+        self._drives: Sequence[Any] = ()
+        self._next_drive = 0
         return Description(
             version=genesis.__version__,
             device=runtime.device_name(genesis),
             options=self._in_force(),
             switches=self._switches(),
-            deviations=deviations(self.scene, options),
-            fields=self._fields(),
+            deviations=(*deviations(self.scene, options), *of_model),
+            fields=self._model.fields(f"float{options.precision}"),
             timing_covers=self._covers(),
-            attachments={"robot.xml": ("application/xml", self._model.xml.encode())} if self._model.xml else {},
+            attachments=self._model.attachments(),
             buffers=buffers(self._model.solver, sizes),
             counters=COUNTERS,
             overflow_bits=self._watch.overflow_bits,
         )
+
+    def _compiled(self, options: GenesisOptions) -> Any:
+        """The scene as MuJoCo compiles it; a model file is refused here, before the engine starts."""
+        from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+        from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+
+        if isinstance(self.scene, ModelScene):
+            from gpusimbench.recorder.simulators.genesis.imported import compile_model
+
+            return compile_model(self.scene, dt=self.dt)
+        return compile_scene(self.scene, dt=self.dt, options=MjcfOptions(cone=options.cone))
+
+    def _make(self, compiled: Any, options: GenesisOptions) -> Sizes:
+        """Build the environments; how much room their contacts have."""
+        from gpusimbench.recorder.simulators.genesis.sizes import choose_sizes
+
+        sizes = choose_sizes(compiled, dt=self.dt, seed=self.seed, options=options)
+        common: dict[str, Any] = {"n_env": self.n_env, "dt": self.dt, "options": options, "sizes": sizes}
+        self._model: Any
+        if isinstance(self.scene, ModelScene):
+            from gpusimbench.recorder.simulators.genesis.imported import build_model
+
+            self._model = build_model(self._genesis, compiled, **common)
+        else:
+            from gpusimbench.recorder.simulators.genesis.model import build_scene
+
+            self._model = build_scene(self._genesis, self.scene, **common)
+        return sizes
+
+    def _read(self, options: GenesisOptions) -> list[Deviation]:
+        """What Genesis made of a model file otherwise than MuJoCo."""
+        self._imported: Imported | None = None
+        if not isinstance(self.scene, ModelScene):
+            return []
+        from gpusimbench.recorder.simulators.genesis.made import held
+        from gpusimbench.recorder.simulators.genesis.model_deviations import deviations_of_model
+
+        self._imported = held(self._model, dt=self.dt)
+        return deviations_of_model(self._model, self._imported, options)
 
     @contextmanager
     def _refusals(self) -> Iterator[None]:
@@ -125,18 +186,10 @@ class Genesis(Simulator):
             },
         }
 
-    def _fields(self) -> tuple[StateField, ...]:
-        dtype = f"float{self.options.precision}"
-        bodies = body_fields(self.scene.groups(), dtype)
-        if self.scene.robot is None:
-            return tuple(bodies)
-        joints = tuple(joint.name for joint in self.scene.robot.joints())
-        return (*bodies, joint_field("robot", "qpos", dtype, joints), joint_field("robot", "qvel", dtype, joints))
-
     def _covers(self) -> str:
         what = "Scene.step of all environments, with the engine's look at its error codes at every tenth substep"
         if self.scene.actions is not None:
-            what += "; control_dofs_position before each, of targets that lie on the device"
+            what += "; before each, forces or targets of joints, which lie on the device"
         return f"{what}; one synchronisation with the device; no state is copied, nothing is drawn"
 
     def compile(self, phase: str) -> None:
@@ -161,20 +214,26 @@ class Genesis(Simulator):
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
         """See Simulator.prepare."""
-        if actions is None:
-            self._targets = None
-            return
-        import torch
-
-        self._targets = torch.as_tensor(actions, dtype=self._genesis.tc_float, device=self._genesis.device)
-        self._next_target = 0
+        self._drives = () if actions is None else self._model.drives(actions)
+        self._next_drive = 0
 
     def applied(self) -> NDArray[np.float32] | None:
         """See Simulator.applied."""
-        if self.scene.actions is None:
-            return None
-        held = self._model.solver.dyn_state.dofs.ctrl_pos.to_numpy()  # [degree of freedom, env]
-        return np.ascontiguousarray(held[self._model.joints].T, dtype=np.float32)
+        found: NDArray[np.float32] | None = self._model.applied()
+        return found
+
+    def imported(self) -> Imported | None:
+        """See Simulator.imported: arrays of the rigid solver."""
+        return self._imported
+
+    def link_poses(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """See Simulator.link_poses: where Genesis has the links."""
+        positions, orientations = self._model.link_poses()
+        return positions, orientations
+
+    def hold(self, controls: NDArray[np.float64]) -> None:
+        """See Simulator.hold."""
+        self._model.hold(controls)
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
@@ -185,9 +244,9 @@ class Genesis(Simulator):
 
     def _advance(self) -> None:
         self._done += 1
-        if self._targets is not None:
-            self._model.solver.control_dofs_position(self._targets[self._next_target], self._model.joints)
-            self._next_target += 1
+        for drive in self._drives:
+            drive.give(self._next_drive)
+        self._next_drive += 1
         try:
             self._model.scene.step(update_visualizer=False)
         except self._genesis.GenesisException:
@@ -200,7 +259,7 @@ class Genesis(Simulator):
         """See Simulator.state."""
         self._last.rewind()
         self._last.store()
-        return tuple(array[0] for array in self._split(self._last))
+        return tuple(array[0] for array in self._last.states())
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
@@ -211,21 +270,10 @@ class Genesis(Simulator):
             for _ in range(min(ring.rows, n_step - first)):
                 self._advance()
                 ring.store()
-            states.append(self._split(ring))
+            states.append(ring.states())
             evidence.append(ring.evidence())
         self._counted = _joined(evidence)
         return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
-
-    def _split(self, ring: Any) -> States:
-        """The rows of a ring as the arrays of the fields, [row, env, item, width]."""
-        links, joints = ring.links(), ring.joints()
-        arrays: list[NDArray[np.floating]] = []
-        for group in self._groups:
-            of_group = links[:, :, group]
-            arrays += [of_group[..., 0:3], of_group[..., 3:7], of_group[..., 7:10], of_group[..., 10:13]]
-        if self.scene.robot is not None:
-            arrays += [joints[..., 0:1], joints[..., 1:2]]
-        return tuple(arrays)
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:
@@ -255,13 +303,7 @@ class Genesis(Simulator):
         """See Simulator.set_state."""
         self.reset(envs)
         self._given = True
-        left, n_env = iter(states), len(states[0])
-        links = np.empty((n_env, len(self._model.links), 13), dtype=states[0].dtype)
-        for group in self._groups:
-            for columns in (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)):
-                links[:, group, columns] = next(left)
-        joints = [next(left) for _ in range(2)] if self.scene.robot is not None else []
-        self._model.give(links, np.concatenate(joints, axis=-1) if joints else np.empty((n_env, 0, 2)), envs)
+        self._model.give(states, envs)
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence."""
@@ -278,7 +320,7 @@ class Genesis(Simulator):
     def close(self) -> None:
         """See Simulator.close."""
         # tensors that share the engine's memory go before it does
-        for name in ("_targets", "_ring", "_last", "_keep", "_watch", "_model", "_counted"):
+        for name in ("_drives", "_ring", "_last", "_keep", "_watch", "_model", "_counted"):
             vars(self).pop(name, None)
         runtime.stop()
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.buffer_sizes import measure
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
-from gpusimbench.recorder.simulators.mujoco.model import compile_scene
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 
 _MARGIN = 2.0  # over MuJoCo's contact points: Genesis has most while bodies that just touch settle into each other
 
@@ -29,12 +27,12 @@ class Sizes:
     contacts_by: str
 
 
-def choose_sizes(scene: Scene, *, dt: float, seed: int, options: GenesisOptions) -> Sizes:
+def choose_sizes(compiled: MjcfModel, *, dt: float, seed: int, options: GenesisOptions) -> Sizes:
     """Room for what MuJoCo C needs of the same scene, and a margin; options that ask for a size get it.
 
     Pairs are those whose bounding spheres overlap, which are more than those that touch.
     """
-    need = measure(compile_scene(scene, dt=dt, options=MjcfOptions(cone=options.cone)), dt=dt, seed=seed)
+    need = measure(compiled, dt=dt, seed=seed)
     of_contacts = replace(need, margin=max(_MARGIN, need.margin))
     return Sizes(
         pairs=options.max_collision_pairs or need.size(need.pairs),
