@@ -28,6 +28,10 @@ STEPS = (0.02, BASE, 0.005)
 FINE = (*STEPS, 0.001)
 """Steps [s]; MuJoCo C, which is fast on a CPU, is recorded at one more."""
 SECONDS = {"pendulum": 10.0, "sliding-block": 2.0}
+INTEGRATED = {"free-body": 20.0, "double-pendulum": 10.0}
+"""Scenes without contacts [s], of which integrators are compared."""
+SHOWN = {"free-body": "middle_"}
+"""Of the laws of a scene, those whose keys begin so; all of the others."""
 ENVS, SPREAD = 16, 0.8
 HOPS = "highest hop of the level block"
 _TIME = 900  # for one recording [s]
@@ -43,7 +47,13 @@ _RUNS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("sliding-block", "brax", ("--solver", "positional")),
     ("sliding-block", "mjx", ("--impl", "jax")),
     *((scene, name, ()) for name in ("physx", "sapien", "genesis") for scene in SECONDS),
-)
+    *(
+        (scene, "mujoco", ("--option", f"integrator={integrator}") if integrator else ())
+        for scene in INTEGRATED for integrator in ("", "Euler", "implicit", "RK4")
+    ),
+    *((scene, "warp", ()) for scene in INTEGRATED),
+    *((scene, "mjx", ("--impl", "jax")) for scene in INTEGRATED),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -73,7 +83,8 @@ def record(folder: Path, chosen: Sequence[str]) -> None:
             if list(target.glob("*.mcap")) or (chosen and simulator not in chosen):
                 continue
             command = [sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", simulator, *options]
-            command += ["--scene", scene, "--dt", f"{dt:g}", "--steps", f"{round(SECONDS[scene] / dt)}", "--no-view"]
+            steps = round((SECONDS | INTEGRATED)[scene] / dt)
+            command += ["--scene", scene, "--dt", f"{dt:g}", "--steps", f"{steps}", "--no-view"]
             command += ["--n-env", f"{ENVS}", "--runs", "1", "--phases", "capture"]
             command += ["--initial", f"random:{SPREAD:g}", "--out", str(target)]
             try:
@@ -104,7 +115,10 @@ def rows(folder: Path, scene: str) -> Iterator[Row]:
                     level = recording.state("cubes", "position").field.items.index("level")
                     height = recording.state("cubes", "position").read(slice(None), slice(None))[:, :, level, 2]
                     hop = float((height - height[0]).max(axis=0).mean())
-                measured = {law.key: law for law in laws("", [facts]) if isinstance(law, Law)}
+                measured = {
+                    law.key: law for law in laws("", [facts])
+                    if isinstance(law, Law) and law.key.startswith(SHOWN.get(scene, ""))
+                }  # fmt: skip
                 yield Row(f"{engine}, {said}" if said else engine, dt, measured, hop)
 
 
@@ -166,7 +180,7 @@ def main() -> None:
     folder = Path(sys.argv[1]).resolve()
     record(folder, sys.argv[2:])
     page = PAGE.read_text(encoding="utf-8")
-    for scene in SECONDS:
+    for scene in SECONDS | INTEGRATED:
         if found := list(rows(folder, scene)):
             page = with_block(page, f"laws of {scene}", table(found))
     power = folder / "power.md"
