@@ -471,7 +471,7 @@ def test_large_runs_are_drawn_from() -> None:
     assert (found.envs_per_run, found.envs, found.originals) == (86, 500, 86)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_an_interruption_ends_the_replay(number: signal.Signals, plugin: dict[str, str], tmp_path: Path) -> None:
     """Pass an interruption on: the replay's recording gets its end, and nothing goes on behind."""
     (original,) = _recorded(tmp_path, plugin)

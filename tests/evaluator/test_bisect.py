@@ -167,6 +167,7 @@ def _arguments(out: Path, *environments: str) -> list[object]:
     return ["--sim", "mujoco", "--scene", "free-fall", "--n-env", "2", "--steps", "20", "--out", out, *given]
 
 
+@pytest.mark.slow
 def test_environments_that_are_the_same(tmp_path: Path) -> None:
     """Record two environments once, by mj_step, and find that nothing differs."""
     arguments = _arguments(tmp_path / "out", "one", "other")

@@ -565,6 +565,7 @@ def test_lists_of_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert lists["compared"][0]["findings"] == folders["compared"][0]["findings"]
 
 
+@pytest.mark.slow
 def test_shipped_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Call another friction cone a change of physics, and two machines of one engine the same to the bit."""
     amd, xeon, other = (

@@ -141,7 +141,7 @@ def test_levels_hold_the_exact_value(shift: float) -> None:
     assert bounds.high - bounds.low <= 1e-4 * bounds.high
 
 
-@pytest.mark.parametrize("kinds", [2, 40])
+@pytest.mark.parametrize("kinds", [2, pytest.param(40, marks=pytest.mark.slow)])
 def test_environments_that_agree(kinds: int) -> None:
     """Hold the value where environments come in few kinds: the same outcomes, many times over."""
     draw = np.random.default_rng(kinds)

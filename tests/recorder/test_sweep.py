@@ -401,9 +401,9 @@ def _limited(
             "once", 4, 1, [(2, 0), (2, 1), (4, 0), (4, 1), (8, 0), (8, 1)],
             "runs failed below the last point: 1 of 2 at 4 envs\nN_env^max 8: 8 is the end of the sweep",
         ),
-        (
+        pytest.param(
             "once", 8, 0, [(2, 0), (2, 1), (4, 0), (4, 1), (8, 0), (8, 1)],
-            "N_env^max 8: 8 is the end of the sweep",
+            "N_env^max 8: 8 is the end of the sweep", marks=pytest.mark.slow,
         ),
     ],
 )  # fmt: skip
