@@ -9,6 +9,7 @@ from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Cell, Column, Tone
 from gpusimbench.evaluator.render.numbers import distance, figure, interval, plural
 from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.results.canonical import Law
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.fidelity import Verdict
@@ -56,9 +57,26 @@ def usual(results: Results) -> list[GroupResult]:
 def for_probe(result: GroupResult) -> bool:
     """Whether the runs of a group answer a question of gsb-probe, and nothing else."""
     key = result.group.key
-    own = key.initial and not key.initial.startswith("states:")  # states that a user gave are no probe's
+    # states that a user gave are no probe's, nor are those that a scene with laws in closed form draws
+    own = key.initial and not key.initial.startswith("states:") and not judged(result)
     changed = key.intervention and not key.intervention.startswith("teacher@")
     return bool(changed or (own and isinstance(result.metrics[FPS.name].value, Missing)))
+
+
+def judged(result: GroupResult) -> list[Law]:
+    """The laws in closed form of a group that have a verdict."""
+    return [law for law in result.laws if isinstance(law, Law) and law.held is not None]
+
+
+def kept(results: Results) -> Cell:
+    """Whether the laws in closed form hold."""
+    found = [law for result in results for law in judged(result)]
+    if not found:
+        return Cell(NOT_COMPARED, tone=Tone.QUIET)
+    broken = sum(not law.held for law in found)
+    if broken:
+        return Cell("no", notes=(f"{broken} of {plural(len(found), 'law')} broken",), tone=Tone.BAD, link="canonical")
+    return Cell("yes", notes=(f"all {plural(len(found), 'law')}",), tone=Tone.GOOD, link="canonical")
 
 
 def repeats(results: Results) -> Cell:
@@ -152,6 +170,8 @@ QUESTIONS = (
     ),
 )
 """Asked of every simulator."""
+
+LAWS = Question("laws in closed form", "yes: what is known exactly of a motion comes out, where there is a law", kept)
 
 TO_REFERENCE = Question(
     "distance to the reference", "W1 to the reference at the sample time, best to worst", real, "distance"

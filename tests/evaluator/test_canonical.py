@@ -20,7 +20,11 @@ from gpusimbench.evaluator.metrics.physics.closed_form import pendulum_period, s
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
+from gpusimbench.evaluator.render.document import Table
 from gpusimbench.evaluator.report.sections.canonical import change
+from gpusimbench.evaluator.report.sections.overview import overview
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.verdicts import for_probe
 from gpusimbench.evaluator.results.canonical import Law, Unmeasured, breaking_move, laws, showing_move
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.faults import faults_anywhere
@@ -119,6 +123,21 @@ def test_laws_are_printed(recorded: dict[str, Path]) -> None:
     assert "laws in closed form held; BROKEN:" in said and "creep of the block that sticks on 12 degrees 0.001" in said
     said = call("gsb-eval", recorded["pendulum"], "--all").stdout
     assert "insensitive" in said and "damping" in said
+
+
+def test_laws_stand_on_the_first_screen(recorded: dict[str, Path]) -> None:
+    """Answer for each simulator whether the laws hold, although the environments of such runs begin in drawn states."""
+    evaluation = evaluate_files([recorded["pendulum"], recorded["blocks"]])
+    assert not any(for_probe(result) for result in evaluation.results)
+    (matrix,) = (
+        block for block in overview(Source(evaluation, False, "")) if getattr(block, "key", "") == "simulators"
+    )
+    assert isinstance(matrix, Table)
+    titles = [column.title for column in matrix.columns]
+    cell = matrix.rows[0].cells[titles.index("laws in closed form")]
+    laws_of_both = sum(len(result.laws) for result in evaluation.results)
+    broken = sum(not law.held for result in evaluation.results for law in result.laws if isinstance(law, Law))
+    assert (cell.text, cell.notes) == ("no", (f"{broken} of {laws_of_both} laws broken",))
 
 
 @pytest.mark.slow

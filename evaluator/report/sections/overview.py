@@ -28,7 +28,7 @@ from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, speaks_against
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.report.verdicts import NOT_COMPARED, QUESTIONS, TO_REFERENCE, usual
+from gpusimbench.evaluator.report.verdicts import LAWS, NOT_COMPARED, QUESTIONS, TO_REFERENCE, judged, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
@@ -78,7 +78,8 @@ def asked_of(evaluation: Evaluation) -> str:
 
 
 def _matrix(evaluation: Evaluation) -> Table:
-    questions = [*QUESTIONS, *([TO_REFERENCE] if evaluation.reference else [])]
+    lawful = any(judged(result) for result in evaluation.results)
+    questions = [*QUESTIONS, *([LAWS] if lawful else []), *([TO_REFERENCE] if evaluation.reference else [])]
     asked = [Column(title, meaning) for title, meaning, _ in _DEPENDS] if evaluation.probed else []
     names = dict.fromkeys(r.group.key.simulator for r in evaluation.results)
     rows = [_engine(name, usual([r for r in evaluation.results if r.group.key.simulator == name])) for name in names]
