@@ -223,6 +223,15 @@ class Robot:
     apart: tuple[tuple[str, str], ...] = ()
     drawn: tuple[float, ...] | None = None
 
+    def branches(self) -> bool:
+        """Whether its joints, chain by chain, are not in the order of their distance from the base: engines have one order
+        or the other."""
+        depth = {"": 0}
+        for link in self.links:
+            depth[link.name] = depth[link.parent] + 1
+        depths = [depth[link.name] for link in self.links if link.joint is not None]
+        return depths != sorted(depths)
+
     def joints(self) -> tuple[Hinge, ...]:
         """The joints in order: the order of qpos, qvel and actions."""
         return tuple(link.joint for link in self.links if link.joint is not None)
@@ -278,6 +287,8 @@ class Scene:
             needs.add(Ability.FIXED_BASE)
             if self.robot.joints():
                 needs.add(Ability.HINGES)
+            if self.robot.branches():
+                needs.add(Ability.CHAINS)
             if self.moving():
                 needs.add(Ability.ROBOT_AMONG_BODIES)
         if self.actions is not None:

@@ -25,6 +25,9 @@ ENGINES = [entry.name for entry in BUILT_IN]
 WITH_ROBOTS = {"mujoco", "warp", "mjx", "playground", "genesis", "physx", "sapien"}
 NO_ARM = "it has no fixed-base robots, hinge joints or actions"
 NO_JOINT = "it has no fixed-base robots or hinge joints"
+NO_CHAINS = "it has no fixed-base robots, robots of several chains or hinge joints"
+ONE_CHAIN = {"physx", "sapien"}
+NO_CHAIN = "it has no robots of several chains"
 WITH_ENV_STARTS = {*ENGINES} - {"maniskill", "madrona"}
 NO_ENV_STARTS = "it has no initial states per environment"
 
@@ -75,7 +78,7 @@ def test_every_pair(simulator: str, scene: str) -> None:
         "franka": (WITH_ROBOTS, NO_ARM),
         "cube-toss": (WITH_ENV_STARTS, NO_ENV_STARTS),
         "pendulum": (WITH_ROBOTS, NO_JOINT),
-        "double-pendulum": (WITH_ROBOTS, NO_JOINT),
+        "double-pendulum": (WITH_ROBOTS - ONE_CHAIN, NO_CHAIN if simulator in ONE_CHAIN else NO_CHAINS),
     }
     able, why = without.get(scene, (ENGINES, ""))
     if simulator in able:

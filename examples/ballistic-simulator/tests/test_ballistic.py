@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ballistic.adapter import Ballistic, Options
 from ballistic.engine import World
-from ballistic.scenes import EDGE, dice_drop
+from ballistic.scenes import EDGE, tilted_dice
 
 from gpusimbench.recorder.conformance import CHECKS, NotApplicable, Subject
 from gpusimbench.testing import assert_batch_invariant, assert_deterministic
@@ -29,7 +29,7 @@ def test_conforms(subject, check):
 
 def test_dice_come_to_rest():
     """Let the dice lie flat on the table after 1.5 s, each world alike."""
-    simulator = Ballistic(dice_drop(), n_env=2, dt=0.01, seed=0, options=Options())
+    simulator = Ballistic(tilted_dice(), n_env=2, dt=0.01, seed=0, options=Options())
     fields = [field.field for field in simulator.build().fields]
     simulator.step(150)
     state = dict(zip(fields, simulator.state(), strict=True))
@@ -40,7 +40,7 @@ def test_dice_come_to_rest():
 
 def test_dice_stay_above_the_table():
     """Let no die's centre come closer to the table than 8 mm, two less than where it rests, at any impact."""
-    simulator = Ballistic(dice_drop(), n_env=1, dt=0.01, seed=0, options=Options())
+    simulator = Ballistic(tilted_dice(), n_env=1, dt=0.01, seed=0, options=Options())
     simulator.build()
     lowest = min(simulator.states(1)[0][..., 2].min() for _ in range(60))
     assert lowest > EDGE / 2 * 0.8
@@ -53,7 +53,7 @@ class Dice:
         self.n_env = n_env
 
     def reset(self, seed):
-        self.world = World(dice_drop(), self.n_env)
+        self.world = World(tilted_dice(), self.n_env)
         for env in range(self.n_env):
             self.world.velocity[env, : self.world.moving] += np.random.default_rng(seed + env).uniform(-1, 1, 3)
         return self.state()

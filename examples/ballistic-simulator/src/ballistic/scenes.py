@@ -8,7 +8,7 @@ WOOD = Material("wood", static_friction=0.4, kinetic_friction=0.3, restitution=0
 EDGE = 0.02
 
 
-def dice_drop() -> Scene:
+def tilted_dice() -> Scene:
     """Each die begins tilted about another axis, at another height, and turns; nothing is random."""
     tilts = ((0.9, 0.3, 0.3, 0.1), (0.8, -0.2, 0.4, 0.4), (0.7, 0.5, -0.1, 0.5))  # each of length one
     dice = (
@@ -25,7 +25,7 @@ def dice_drop() -> Scene:
         for i, tilt in enumerate(tilts)
     )
     return Scene(
-        name="dice-drop",
+        name="tilted-dice",
         summary="three tilted dice fall from 10, 15 and 20 cm onto a table",
         sample_time=2.0,
         bodies=(Body("table", Plane(), WOOD, position=(0.0, 0.0, 0.0)), *dice),
