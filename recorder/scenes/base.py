@@ -224,8 +224,10 @@ class Robot:
     drawn: tuple[float, ...] | None = None
 
     def branches(self) -> bool:
-        """Whether its joints, chain by chain, are not in the order of their distance from the base: engines have one order
-        or the other."""
+        """Whether its joints are not in the order of their distance from the base, since chains stand one by one.
+
+        Engines have joints in one order or the other.
+        """
         depth = {"": 0}
         for link in self.links:
             depth[link.name] = depth[link.parent] + 1
