@@ -109,6 +109,7 @@ def test_one_ulp_in_one_env_of_4096(tmp_path: Path) -> None:
     assert found["distinct_runs"]["value"] == 1
 
 
+@pytest.mark.slow
 def test_one_ulp_becomes_centimetres(tmp_path: Path) -> None:
     """See in the published distances what contacts made of one unit in the last place: Type 1."""
     record(tmp_path, "--n-env", 4, "--runs", 2, "--steps", 200, "--phases", "capture", regime="offset", ulps=1, env=2)

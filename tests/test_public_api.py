@@ -55,7 +55,7 @@ def test_names_of_the_recorder_come_when_asked_for(name: str) -> None:
     assert done.stdout.split() == ["False", "True"]
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
+@pytest.mark.parametrize("page", ["README.md", pytest.param("docs/python.md", marks=pytest.mark.slow)])
 def test_examples_run_beside_folders_of_the_user(page: str, tmp_path: Path) -> None:
     """Run the examples in a folder that has an evaluator/, a recorder/ and a schemas/ of its own."""
     for name in ("evaluator", "recorder", "schemas"):

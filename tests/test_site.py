@@ -108,6 +108,7 @@ def test_a_link_that_leads_nowhere_is_an_error(monkeypatch: pytest.MonkeyPatch, 
 
 
 @needs_mkdocs
+@pytest.mark.slow
 def test_pages_lead_to_pages(site: Path) -> None:
     """Find the target of every link of every page, file and place, within the site."""
     pages = {path: _Page(path) for path in site.rglob("*.html") if path.name != "404.html"}
@@ -126,6 +127,7 @@ def test_pages_lead_to_pages(site: Path) -> None:
 
 
 @needs_mkdocs
+@pytest.mark.slow
 def test_pages_load_nothing_from_elsewhere(site: Path) -> None:
     """Name no address in what a page loads: neither a font, nor a script, nor a picture."""
     for path in site.rglob("*.html"):
@@ -137,6 +139,7 @@ def test_pages_load_nothing_from_elsewhere(site: Path) -> None:
 
 
 @needs_mkdocs
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
 def test_search_works_in_a_page_opened_as_a_file(site: Path, tmp_path: Path) -> None:
     """Open the first page from the disk in a browser without a network, and find a word."""

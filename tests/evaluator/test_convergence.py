@@ -120,6 +120,7 @@ def pendulums(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_integrators_of_mujoco_have_their_orders(pendulums: list[Path]) -> None:
     """Find 1 for semi-implicit Euler and 4 for Runge-Kutta on a pendulum, from recordings alone, and show both."""
     evaluation = evaluate_files(pendulums, sample_time=1.0)
@@ -143,6 +144,7 @@ def test_integrators_of_mujoco_have_their_orders(pendulums: list[Path]) -> None:
     assert sorted(round(one["order"]) for one in document) == [1, 4]
 
 
+@pytest.mark.slow
 def test_a_step_that_misses_the_time_is_left_out(pendulums: list[Path]) -> None:
     """Leave out steps of which no whole number makes the time, with the reason, and fit nothing to the rest."""
     euler = pendulums[:4]
