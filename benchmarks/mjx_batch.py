@@ -261,9 +261,8 @@ def parting(many: int, few: int, steps: int, device: str, columns: str) -> str:
     """The first step after which the first FEW of MANY environments differ from FEW alone."""
     import jax.scipy.linalg
 
-    own = {"none": {}, "solve": {"cho_solve": by_columns}}.get(
-        columns, {"cho_solve": by_columns, "cho_factor": factor_by_columns}
-    )
+    solve, factor = {"cho_solve": by_columns}, {"cho_factor": factor_by_columns}
+    own = {"none": {}, "solve": solve, "factor and solve": solve | factor}[columns]
     with mock.patch.multiple(jax.scipy.linalg, **own) if own else nullcontext():
         step, data = batched_step(many, device)
         alone = first(data, few)

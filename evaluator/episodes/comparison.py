@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, interval_of, shown, standard_error
+from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, error_of_mean, interval_of, shown
 from gpusimbench.evaluator.episodes.side import Episodes
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.statistics.cases import DRAWS, FEWEST, PERMUTATIONS, paired
@@ -118,13 +118,13 @@ def _difference(
     discordant = Missing("episodes are not paired" if name == SUCCESS else "of success alone")
     one, other = first.mean(axis=1), second.mean(axis=1)
     if together:
-        found, error = paired(one, other, seed=_SEED), standard_error(first - second)
+        found, error = paired(one, other, seed=_SEED), error_of_mean(first - second)
         return Difference(
             name, unit, found.mean, interval_of(found.ci95, error), found.p_value, found.p_value,
             "signs of differences exchanged by environment", discordant, shown(error),
         )  # fmt: skip
     p = _exchanged(one, other)
-    error = _combined(standard_error(first), standard_error(second))
+    error = _combined(error_of_mean(first), error_of_mean(second))
     return Difference(
         name, unit, float(one.mean() - other.mean()), interval_of(_unpaired_interval(one, other), error), p, p,
         "environments exchanged between policies", discordant, shown(error),

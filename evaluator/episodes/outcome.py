@@ -12,7 +12,13 @@ from gpusimbench.evaluator.episodes.side import Choice, Episodes
 from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.episode_table import EpisodeTable
-from gpusimbench.evaluator.statistics.cases import FEWEST, interval_over_cases, least_shown, mean_interval
+from gpusimbench.evaluator.statistics.cases import (
+    FEWEST,
+    interval_over_cases,
+    least_shown,
+    mean_interval,
+    standard_error,
+)
 from gpusimbench.evaluator.statistics.rates import interquartile_mean, rate_interval, rows_differ
 
 POWER = 0.8
@@ -139,12 +145,10 @@ def shown(error: float | Missing) -> float | Missing:
     return least_shown(error, POWER) if error else _ALIKE
 
 
-def standard_error(values: NDArray[np.float64]) -> float | Missing:
-    """Of the mean of values [env, episode] whose environments are independent."""
-    by_env = values.mean(axis=1)
-    if len(by_env) < 2:
-        return Missing("there is one environment")
-    return float(by_env.std(ddof=1) / np.sqrt(len(by_env)))
+def error_of_mean(values: NDArray[np.float64]) -> float | Missing:
+    """Standard error of the mean of values [env, episode] whose environments are independent."""
+    error = standard_error(values.mean(axis=1))
+    return Missing("there is one environment") if error is None else error
 
 
 def _success(
@@ -173,7 +177,7 @@ def _success(
 
 
 def _return(episodes: Episodes, first: tuple[NDArray[np.int64], ...]) -> Quantity:
-    values, error = episodes.returns, standard_error(episodes.returns)
+    values, error = episodes.returns, error_of_mean(episodes.returns)
 
     def iqm_of(drawn: NDArray[np.int64]) -> NDArray[np.float64]:
         return interquartile_mean(values[drawn].reshape(len(drawn), -1))
@@ -201,7 +205,7 @@ def _alike(values: NDArray[np.float64]) -> dict[str, float | Missing]:
 
 
 def _least_of_two(values: NDArray[np.float64]) -> float | Missing:
-    error = standard_error(values)
+    error = error_of_mean(values)
     return shown(error if isinstance(error, Missing) else 2**0.5 * error)
 
 

@@ -83,8 +83,7 @@ class Episodes:
 def read_side(recordings: Sequence[Recording]) -> Side:
     """The episodes of recordings.
 
-    NothingComparable where a recording has no episodes, or did not end well; UsageError where recordings are of
-    different tasks, or one is given twice.
+    They have passed ``check_distinct``. NothingComparable where a recording has no episodes, or did not end well.
     """
     for recording in recordings:
         if not has_episodes(recording):
@@ -92,7 +91,6 @@ def read_side(recordings: Sequence[Recording]) -> Side:
         if not recording.usable:
             why = "; ".join(filter(None, (recording.reason, *recording.dropouts)))
             raise NothingComparable(f"{recording.path} is {recording.status}: {why}")
-    check_distinct(recordings)
     tables = tuple(map(episode_table, recordings))
     finished = [_finished(one.configuration.n_env, table) for one, table in zip(recordings, tables, strict=True)]
     return Side(tuple(recordings), tables, np.concatenate(finished))

@@ -12,6 +12,7 @@ from scipy.special import chdtri, stdtrit
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues, PhysicsFacts
+from gpusimbench.evaluator.statistics.cases import standard_error
 from gpusimbench.evaluator.statistics.counts import FEWEST, uniformity
 
 Array = npt.NDArray[np.float64]
@@ -165,7 +166,7 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
     if not count:
         return Unmeasured(label, scene, first.key, first.title, first.absent)
     off = measured[there] - predicted[there]
-    mean, error = float(off.mean()), standard_error(off)
+    mean, error = float(off.mean()), standard_error(off) or 0.0
     scale = float(np.abs(measured[there]).max(initial=0.0))
     tolerance = max(run.tolerance for run in alike)
     exact = not error > max(_ROUNDING * scale, _ALIKE * tolerance)
@@ -196,16 +197,11 @@ def _size(move: float | None, slope: float, parameter: str) -> float | None:
     return size if parameter in UNITS or size <= LARGEST else None
 
 
-def standard_error(values: Array) -> float:
-    """Of the mean; 0 with one value."""
-    return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
-
-
 def _most_error(values: Array) -> float:
     """The upper 95 % limit of the standard error, of normal values: a claim that takes the estimate for the truth is
     too small half of the time."""
-    n = len(values)
-    return standard_error(values) * math.sqrt((n - 1) / float(chdtri(n - 1, POWER))) if n > 1 else 0.0
+    error, degrees = standard_error(values), len(values) - 1
+    return 0.0 if error is None else error * math.sqrt(degrees / float(chdtri(degrees, POWER)))
 
 
 def _unevenness(predicted: Array) -> float:

@@ -119,3 +119,8 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
         len(difference),
         least_shown(error, 0.95),
     )
+
+
+def standard_error(cases: npt.NDArray[np.float64]) -> float | None:
+    """Of the mean of independent cases, shape [case]; None with fewer than two."""
+    return float(cases.std(ddof=1) / np.sqrt(len(cases))) if len(cases) > 1 else None
