@@ -1,9 +1,20 @@
-"""A model with a floating and a fixed tree, several joints on a body, references, offsets, motors and servos.
+"""What tests of engines that are given model files share: a model, scenes of texts, drawn states and steps.
 
-Engines that are given model files are tried with it.
+The model has a floating and a fixed tree, several joints on a body, references, offsets, motors and servos.
 """
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
+from gpusimbench.schemas.model_files import pack
 
 LEG = """
   <body name="{side}thigh" pos="{y} 0 -.1" quat=".9 .1 .3 0">
@@ -34,3 +45,33 @@ MIXED = f"""<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbo
     <motor name="t" tendon="both" gear="3"/><motor name="s" joint="lift" gear="9" forcerange="-4 4"/>
     <position name="p" joint="turn" kp="20" kv="1"/><velocity name="v" joint="rightroll" kv=".3"/></actuator>
 </mujoco>""".replace("left_thigh", "leftthigh").replace("left_shin", "leftshin")
+
+
+def scene_of(text: str, folder: Path, **more: str) -> ModelScene:
+    """The scene of a model file with this text."""
+    path = folder / "robot.xml"
+    path.write_text(text)
+    return model_scene("robot", pack(path), **more)
+
+
+def drawn(compiled: MjcfModel, n_env: int, seed: int) -> tuple[States, tuple[Any, Any]]:
+    """Random states of environments, within limits; and MuJoCo's own qpos and qvel of them."""
+    model, rng = compiled.model, np.random.default_rng(seed)
+    qpos = np.tile(model.qpos0, (n_env, 1))
+    for row in qpos:
+        mujoco.mj_integratePos(model, row, rng.normal(size=model.nv) * 0.5, 1.0)
+        for joint in np.flatnonzero(model.jnt_limited):
+            low, high = model.jnt_range[joint]
+            row[model.jnt_qposadr[joint]] = low + (high - low) * rng.uniform(0.2, 0.8)
+    qvel = rng.normal(size=(n_env, model.nv))
+    return tuple(np.array(array) for array in compiled.split(qpos, qvel)), (qpos, qvel)
+
+
+def stepped(simulator: Simulator, description: Description, steps: int) -> dict[str, np.ndarray[Any, Any]]:
+    """Fields by name over some steps; and no gate fires."""
+    scene = simulator.scene
+    if scene.actions is not None and not simulator.draws_actions:
+        simulator.prepare(scene.actions.draw(0, n_env=simulator.n_env, first_step=0, n_step=steps))
+    found = dict(zip((f.name for f in description.fields), simulator.states(steps), strict=True))
+    assert not simulator.gates()
+    return found

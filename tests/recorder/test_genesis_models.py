@@ -27,7 +27,7 @@ from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.model_files import pack
 from tests.recorder import engines
-from tests.recorder.mixed_model import MIXED
+from tests.recorder.mixed_model import MIXED, drawn, scene_of, stepped
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
 _FEET = "".join(f'<exclude body1="{side}foot" body2="{side}shin"/>' for side in ("left", "right"))
@@ -39,12 +39,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
-
-
-def _scene(text: str, folder: Path, **more: str) -> ModelScene:
-    path = folder / "robot.xml"
-    path.write_text(text)
-    return model_scene("robot", pack(path), **more)
 
 
 def _world(body: str, rest: str = "", option: str = 'timestep="0.002"') -> str:
@@ -70,45 +64,26 @@ def _genesis(scene: ModelScene, **options: Any) -> tuple[Any, Description]:
     return simulator, simulator.build()
 
 
-def _states(simulator: Simulator, description: Description, steps: int) -> dict[str, np.ndarray[Any, Any]]:
-    """Fields by name over some steps; and no gate fires."""
-    scene = simulator.scene
-    if scene.actions is not None and not simulator.draws_actions:
-        simulator.prepare(scene.actions.draw(0, n_env=simulator.n_env, first_step=0, n_step=steps))
-    found = dict(zip((f.name for f in description.fields), simulator.states(steps), strict=True))
-    assert not simulator.gates()
-    return found
-
-
 def _both(scene: ModelScene, steps: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """States of Genesis and of MuJoCo C under the same controls."""
     other, described = engines.build("mujoco", scene)
-    wanted = _states(other, described, steps)
+    wanted = stepped(other, described, steps)
     other.close()
-    return _states(*_genesis(scene), steps), wanted
+    return stepped(*_genesis(scene), steps), wanted
 
 
 def _random(simulator: Any, seed: int) -> tuple[Any, Any]:
     """Random states of all environments, within limits, as set; and MuJoCo's own qpos and qvel of them."""
-    compiled = simulator._model.compiled
-    model, rng = compiled.model, np.random.default_rng(seed)
-    qpos = np.tile(model.qpos0, (simulator.n_env, 1))
-    for row in qpos:
-        mujoco.mj_integratePos(model, row, rng.normal(size=model.nv) * 0.5, 1.0)
-        for joint in np.flatnonzero(model.jnt_limited):
-            low, high = model.jnt_range[joint]
-            row[model.jnt_qposadr[joint]] = low + (high - low) * rng.uniform(0.2, 0.8)
-    qvel = rng.normal(size=(simulator.n_env, model.nv))
-    states = tuple(np.array(array) for array in compiled.split(qpos, qvel))
+    states, own = drawn(simulator._model.compiled, simulator.n_env, seed)
     simulator.set_state(states)
-    return states, (qpos, qvel)
+    return states, own
 
 
 @pytest.mark.parametrize("which", ["mixed", "walker"])
 def test_kinematics(which: str, tmp_path: Path) -> None:
     """Put the bodies of random states where MuJoCo puts them, and read the states back: offsets, references, chains of
     joints, welds and ball joints are all as MuJoCo means them, in every environment."""
-    scene = _scene(EULER, tmp_path) if which == "mixed" else model_scene("walker", pack(WALKER))
+    scene = scene_of(EULER, tmp_path) if which == "mixed" else model_scene("walker", pack(WALKER))
     simulator, description = _genesis(scene, n_env=5)
     model = simulator._model.compiled.model
     for seed in range(3):
@@ -129,7 +104,7 @@ def test_kinematics(which: str, tmp_path: Path) -> None:
 def test_accelerations(tmp_path: Path) -> None:
     """Make the step of MuJoCo from random states: masses, inertias, gravity, armature, damping, motors of joints and of
     a tendon, clamped controls and forces, and servos, in floating and fixed trees."""
-    scene = _scene(EULER, tmp_path)
+    scene = scene_of(EULER, tmp_path)
     simulator, description = _genesis(scene, n_env=4)
     compiled = simulator._model.compiled
     assert scene.actions is not None
@@ -170,7 +145,7 @@ def _held(joint: str, actuators: str, controls: str, folder: Path) -> ModelScene
         f'<actuator>{actuators}</actuator><keyframe><key ctrl="{controls}"/></keyframe>',
         'gravity="0 0 0" timestep="0.01"',
     )
-    return _scene(text, folder, actions="keyframe")
+    return scene_of(text, folder, actions="keyframe")
 
 
 HELD = {
@@ -212,7 +187,7 @@ def test_what_may_touch(tmp_path: Path) -> None:
         f'<keyframe><key qvel="{"0 " * 18}2 0 0 0 0 0"/></keyframe>',
         'timestep="0.005"',
     )
-    genesis, wanted = _both(_scene(text, tmp_path), 200)
+    genesis, wanted = _both(scene_of(text, tmp_path), 200)
     heights = genesis["bodies/position"][-1, :, :, 2]
     np.testing.assert_allclose(heights, [[0.1, 0.7, 0.1, 0.1]] * 2, atol=2e-3)
     np.testing.assert_allclose(heights, wanted["bodies/position"][-1, :, :, 2], atol=2e-3)
@@ -231,7 +206,7 @@ def test_friction_against_turning(tmp_path: Path) -> None:
         '<body name="spins" pos="2 0 .05"><freejoint/><geom size=".05" condim="4" friction="1 .05 .01"/></body>',
         '<keyframe><key qvel="1 0 0 0 10 0 0 0 0 0 0 20"/></keyframe>',
     )
-    genesis, wanted = _both(_scene(text, tmp_path), 200)
+    genesis, wanted = _both(scene_of(text, tmp_path), 200)
     turning = wanted["bodies/angular_velocity"][-1, 0]
     assert turning[0, 1] < 8 and turning[1, 2] < 1
     for name, array in wanted.items():
@@ -249,7 +224,7 @@ def test_equalities(tmp_path: Path) -> None:
         '<joint name="gear" joint1="jc" joint2="ja" polycoef="0 .5 0 0 0"/></equality>'
         '<keyframe><key qvel=".5 -.5 0"/></keyframe>',
     )
-    genesis, wanted = _both(_scene(text, tmp_path), 100)
+    genesis, wanted = _both(scene_of(text, tmp_path), 100)
     for name, array in wanted.items():
         np.testing.assert_allclose(genesis[name], array, atol=2e-3, err_msg=name)
     simulator: Any = _open[0]
@@ -261,7 +236,7 @@ def test_equalities(tmp_path: Path) -> None:
 def test_its_states(tmp_path: Path) -> None:
     """Save, restore and reset states, also of some environments; the others keep their bits, and steps go on with the
     same bits."""
-    simulator, description = _genesis(_scene(EULER, tmp_path, actions="none"), n_env=3)
+    simulator, description = _genesis(scene_of(EULER, tmp_path, actions="none"), n_env=3)
     first = simulator.state()
     simulator.step(3)
     saved = simulator.snapshot()
@@ -279,7 +254,7 @@ def test_its_states(tmp_path: Path) -> None:
 def test_what_it_holds(tmp_path: Path) -> None:
     """Hold MuJoCo's masses, inertias, frames, limits, friction and shapes, as read from the engine, but no tendon; and
     a model with another mass, limit, axis, damping, size and friction differs in these."""
-    simulator, description = _genesis(_scene(EULER, tmp_path))
+    simulator, description = _genesis(scene_of(EULER, tmp_path))
     held = simulator.imported()
     found = [f for kind in compare(of_c(mujoco.MjModel.from_xml_string(EULER)), held) for f in kind.findings]
     assert {(f.kind, f.parameter) for f in found} == {("tendons", "")}
@@ -305,7 +280,7 @@ def test_what_it_holds(tmp_path: Path) -> None:
 
 def test_trials(tmp_path: Path) -> None:
     """Answer the trials of gsb-import as MuJoCo C does: kinematics, joints and actuators."""
-    scene = _scene(EULER, tmp_path)
+    scene = scene_of(EULER, tmp_path)
 
     def made(name: str) -> Any:
         found = tried(scene, lambda still, n_env: engines.make(name, replace(still), n_env=n_env), dt=0.001, seed=0)
@@ -367,7 +342,7 @@ REFUSED = {
 @pytest.mark.parametrize("said", REFUSED)
 def test_refusals(said: str, tmp_path: Path) -> None:
     """Refuse by its name what Genesis is not given, before it starts."""
-    simulator = engines.make("genesis", _scene(REFUSED[said], tmp_path))
+    simulator = engines.make("genesis", scene_of(REFUSED[said], tmp_path))
     with pytest.raises(Refused) as raised:
         simulator.build()
     assert said in str(raised.value)
@@ -377,7 +352,7 @@ def test_refusals(said: str, tmp_path: Path) -> None:
 def test_the_options_of_a_model(tmp_path: Path) -> None:
     """Take a model's own solver as far as Genesis has it, and what the user says before it."""
     text = _world(HINGE, option='integrator="RK4" solver="PGS" iterations="7" cone="elliptic" impratio="3"')
-    scene = _scene(text.replace("{0}", ""), tmp_path)
+    scene = scene_of(text.replace("{0}", ""), tmp_path)
     options = engines.make("genesis", scene).options
     assert (options.integrator, options.solver, options.iterations) == ("Euler", "Newton", 7)
     assert (options.cone, options.impratio, options.tolerance) == ("elliptic", 3.0, 0.0)
@@ -401,7 +376,7 @@ def test_what_it_has_otherwise(tmp_path: Path) -> None:
         option='density="3" viscosity=".1" wind="1 0 0" integrator="RK4" timestep="0.002"><flag damper="disable"/>'
         "</option><option",
     )
-    _, description = _genesis(_scene(text, tmp_path))
+    _, description = _genesis(scene_of(text, tmp_path))
     assert {d.parameter for d in description.deviations} == {
         "model.wind", "model.density", "model.viscosity", "bodies.gravity_compensation", "joints.range",
         "joints.spring_reference", "joints.margin", "joints.solreffriction", "geoms.margin", "geoms.priority",
@@ -421,7 +396,7 @@ def test_a_mesh(tmp_path: Path) -> None:
         '<geom type="plane" size="5 5 .1"/><body name="b" pos="0 0 .3" euler="0 0 30"><freejoint/>'
         '<geom type="mesh" mesh="w" mass="2"/></body></worldbody></mujoco>'
     )
-    simulator, description = _genesis(_scene(text, tmp_path))
+    simulator, description = _genesis(scene_of(text, tmp_path))
     assert {d.parameter for d in description.deviations} == {"option.tolerance"}
-    height = _states(simulator, description, 150)["bodies/position"][-1, :, 0, 2]
+    height = stepped(simulator, description, 150)["bodies/position"][-1, :, 0, 2]
     np.testing.assert_allclose(height, 0.05, atol=2e-3)

@@ -25,15 +25,9 @@ from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.schemas.model_files import pack
 from tests.recorder import engines
-from tests.recorder.mixed_model import MIXED
+from tests.recorder.mixed_model import MIXED, drawn, scene_of, stepped
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
-
-
-def _scene(text: str, folder: Path, **more: str) -> ModelScene:
-    path = folder / "robot.xml"
-    path.write_text(text)
-    return model_scene("robot", pack(path), **more)
 
 
 def _world(body: str, rest: str = "", option: str = 'timestep="0.005"') -> str:
@@ -59,11 +53,7 @@ def _physx(scene: ModelScene, **options: Any) -> tuple[Any, Description]:
 
 def _states(simulator: Simulator, description: Description, steps: int) -> dict[str, np.ndarray[Any, Any]]:
     """Fields by name over some steps, with positions relative to the environment's origin; and no gate fires."""
-    scene = simulator.scene
-    if scene.actions is not None and not simulator.draws_actions:
-        simulator.prepare(scene.actions.draw(0, n_env=simulator.n_env, first_step=0, n_step=steps))
-    found = dict(zip((f.name for f in description.fields), simulator.states(steps), strict=True))
-    assert not simulator.gates()
+    found = stepped(simulator, description, steps)
     if "bodies/position" in found and description.env_origins:
         found["bodies/position"] = found["bodies/position"] - np.array(description.env_origins)[:, None]
     simulator.close()
@@ -78,26 +68,17 @@ def _both(scene: ModelScene, steps: int, **options: Any) -> tuple[Any, Any]:
 
 def _random(simulator: Any, description: Description, seed: int) -> tuple[Any, Any]:
     """Random states of all environments, within limits, as set; and MuJoCo's own qpos and qvel of them."""
-    compiled = simulator._model.compiled
-    model, rng = compiled.model, np.random.default_rng(seed)
-    qpos = np.tile(model.qpos0, (simulator.n_env, 1))
-    for row in qpos:
-        mujoco.mj_integratePos(model, row, rng.normal(size=model.nv) * 0.5, 1.0)
-        for joint in np.flatnonzero(model.jnt_limited):
-            low, high = model.jnt_range[joint]
-            row[model.jnt_qposadr[joint]] = low + (high - low) * rng.uniform(0.2, 0.8)
-    qvel = rng.normal(size=(simulator.n_env, model.nv))
-    states = tuple(np.array(array) for array in compiled.split(qpos, qvel))
+    states, own = drawn(simulator._model.compiled, simulator.n_env, seed)
     origins = np.array(description.env_origins)[:, None]
     given = tuple(a + origins if f.field == "position" else a for f, a in zip(description.fields, states, strict=True))
     simulator.set_state(given)
-    return given, (qpos, qvel)
+    return given, own
 
 
 def test_kinematics(tmp_path: Path) -> None:
     """Put the bodies of random states where MuJoCo puts them, and read the states back: quaternions, centres of mass,
     reference angles, chains of joints and welds are all taken as PhysX means them, in every environment."""
-    simulator, description = _physx(_scene(MIXED, tmp_path), n_env=5)
+    simulator, description = _physx(scene_of(MIXED, tmp_path), n_env=5)
     model = simulator._model.compiled.model
     for seed in range(3):
         given, (qpos, _) = _random(simulator, description, seed)
@@ -120,7 +101,7 @@ def test_kinematics(tmp_path: Path) -> None:
 def test_accelerations(tmp_path: Path) -> None:
     """Make the step of MuJoCo from random states: masses, inertias, gravity, armature, damping, motors of joints and of
     a tendon, clamped controls and forces, and servos, in floating and fixed trees."""
-    scene = _scene(MIXED, tmp_path)
+    scene = scene_of(MIXED, tmp_path)
     simulator, description = _physx(scene, n_env=4, solver="PGS", contact_offset=1e-4)
     model = simulator._model.compiled.model
     assert scene.actions is not None
@@ -155,7 +136,7 @@ CART = _world(
 
 def test_the_same_motion(tmp_path: Path) -> None:
     """Follow MuJoCo C over 100 steps of a double pendulum on a cart that environments drive differently."""
-    physx, wanted = _both(_scene(CART, tmp_path), 100, solver="PGS")
+    physx, wanted = _both(scene_of(CART, tmp_path), 100, solver="PGS")
     for name, array in wanted.items():
         np.testing.assert_allclose(physx[name], array, atol=2e-5 if name.endswith("qpos") else 2e-4, err_msg=name)
     assert (physx["joints/qpos"][-1, 0] != physx["joints/qpos"][-1, 1]).any()
@@ -164,7 +145,7 @@ def test_the_same_motion(tmp_path: Path) -> None:
 def test_energy(tmp_path: Path) -> None:
     """Keep the energy of a double pendulum that nothing drives or brakes, with the default solver."""
     text = CART.replace('<actuator><motor joint="x" gear="5"/></actuator>', "")
-    scene = _scene(text, tmp_path, actions="none")
+    scene = scene_of(text, tmp_path, actions="none")
     simulator, description = _physx(scene, n_env=2)
     compiled = simulator._model.compiled
     compiled.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
@@ -192,7 +173,7 @@ def test_turns(tmp_path: Path) -> None:
         '<body name="r" pos="0 0 1"><joint name="spin" axis="0 0 1"/><geom type="capsule" size=".05 .2" mass="1"/>'
         '</body>', '<keyframe><key qvel="30"/></keyframe>', 'gravity="0 0 0" timestep="0.01"',
     )  # fmt: skip
-    physx, wanted = _both(_scene(text, tmp_path), 80)
+    physx, wanted = _both(scene_of(text, tmp_path), 80)
     np.testing.assert_allclose(physx["joints/qpos"], wanted["joints/qpos"], rtol=1e-4)
     assert physx["joints/qpos"].max() > 23
 
@@ -208,7 +189,7 @@ def test_what_may_touch(tmp_path: Path) -> None:
         + ball.format("stays", ".3 .3", 1, "")
         + ball.format("held", "-.3 .3", 2, '<geom size=".1" pos="0 0 .25"/>')
     )
-    physx, wanted = _both(_scene(text, tmp_path), 300, n_env=3)
+    physx, wanted = _both(scene_of(text, tmp_path), 300, n_env=3)
     heights = physx["bodies/position"][-1, :, :, 2]
     np.testing.assert_allclose(heights, [[0.1, 0.7, 0.45]] * 3, atol=2e-3)
     np.testing.assert_allclose(heights[:2], wanted["bodies/position"][-1, :, :, 2], atol=2e-3)
@@ -222,7 +203,7 @@ def test_friction(condim: int, friction: float, tmp_path: Path) -> None:
         f'<geom type="box" size=".2 .2 .1" friction=".5" condim="{condim}"/></body>',
         '<keyframe><key qpos="0 0 .1 1 0 0 0" qvel="2 0 0 0 0 0"/></keyframe>',
     )
-    simulator, description = _physx(_scene(text, tmp_path))
+    simulator, description = _physx(scene_of(text, tmp_path))
     assert not [d for d in description.deviations if d.parameter == "contact.pair_friction"]
     speed = _states(simulator, description, 40)["bodies/linear_velocity"][:, 0, 0, 0]
     np.testing.assert_allclose(speed[-1] - speed[9], -friction * 9.81 * 30 * 0.005, atol=0.02)
@@ -235,7 +216,7 @@ def test_a_pair_of_another_friction(tmp_path: Path) -> None:
         '<geom name="a" size=".1" condim="1" friction=".7"/></body>'
         '<body pos="1 0 1"><freejoint/><geom name="b" size=".1" condim="1"/></body>'
     )
-    simulator, description = _physx(_scene(text, tmp_path))
+    simulator, description = _physx(scene_of(text, tmp_path))
     (found,) = [d for d in description.deviations if d.parameter == "contact.pair_friction"]
     assert (found.wanted, found.used) == ("a and b 0", "a and b 1")
 
@@ -251,7 +232,7 @@ def _held(joint: str, actuator: str, control: float, folder: Path) -> ModelScene
         f"<actuator>{actuator}</actuator>{key}",
         'gravity="0 0 0" timestep="0.01" integrator="implicitfast"',
     )
-    return _scene(text, folder, actions="keyframe" if actuator else "none")
+    return scene_of(text, folder, actions="keyframe" if actuator else "none")
 
 
 @pytest.mark.parametrize(
@@ -291,7 +272,7 @@ def test_friction_of_a_joint(tmp_path: Path) -> None:
 
 def test_controls_that_end(tmp_path: Path) -> None:
     """Give zeros after forces, and keep no force of an earlier step."""
-    simulator, _ = _physx(_scene(CART.replace("0 0 -9.81", "0 0 0"), tmp_path), n_env=2)
+    simulator, _ = _physx(scene_of(CART.replace("0 0 -9.81", "0 0 0"), tmp_path), n_env=2)
     simulator.prepare(np.ones((5, 2, 1), dtype=np.float32))
     simulator.step(5)
     simulator.prepare(np.zeros((3, 2, 1), dtype=np.float32))
@@ -305,7 +286,7 @@ def test_controls_that_end(tmp_path: Path) -> None:
 def test_its_states(tmp_path: Path) -> None:
     """Save, restore, reset and set states of some environments; the others keep their bits, and steps go on the same
     way."""
-    simulator, description = _physx(_scene(MIXED, tmp_path, actions="none"), n_env=3)
+    simulator, description = _physx(scene_of(MIXED, tmp_path, actions="none"), n_env=3)
     first = simulator.state()
     simulator.step(3)
     saved = simulator.snapshot()
@@ -324,7 +305,7 @@ def test_its_states(tmp_path: Path) -> None:
 def test_what_it_holds(tmp_path: Path) -> None:
     """Hold MuJoCo's masses, inertias, limits, springs and friction of joints, as read from the engine; and a model with
     another mass and another limit differs in these two."""
-    simulator, _ = _physx(_scene(MIXED, tmp_path))
+    simulator, _ = _physx(scene_of(MIXED, tmp_path))
     held = simulator.imported()
     model = mujoco.MjModel.from_xml_string(MIXED)
     model.body_mass[0] = 0.0
@@ -341,7 +322,7 @@ def test_what_it_holds(tmp_path: Path) -> None:
 def test_trials(tmp_path: Path) -> None:
     """Answer the trials of gsb-import: poses relative to each environment's origin, and actuators each in one of its
     own."""
-    scene = _scene(MIXED, tmp_path)
+    scene = scene_of(MIXED, tmp_path)
 
     def make(still: Any, n_env: int) -> Simulator:
         return engines.make("physx", replace(still), n_env=n_env, threads=1)
@@ -392,7 +373,7 @@ REFUSED = {
 @pytest.mark.parametrize("said", REFUSED)
 def test_refusals(said: str, tmp_path: Path) -> None:
     """Refuse by its name what PhysX is not given, before it starts."""
-    simulator = engines.make("physx", _scene(REFUSED[said], tmp_path))
+    simulator = engines.make("physx", scene_of(REFUSED[said], tmp_path))
     with pytest.raises(Refused) as raised:
         simulator.build()
     assert said in str(raised.value)
@@ -427,7 +408,7 @@ NAMED = {
 @pytest.mark.parametrize("parameter", NAMED)
 def test_what_it_has_otherwise(parameter: str, tmp_path: Path) -> None:
     """Name what PhysX has otherwise, and nothing of it where the model does not have it."""
-    simulator, description = _physx(_scene(NAMED[parameter], tmp_path))
+    simulator, description = _physx(scene_of(NAMED[parameter], tmp_path))
     found = {d.parameter for d in description.deviations}
     assert found & set(NAMED) == {parameter}
     assert "option" in found
@@ -437,7 +418,7 @@ def test_gravity_that_is_compensated(tmp_path: Path) -> None:
     """Leave a body alone whose gravity the model compensates, and let the other fall."""
     body = '<body name="{0}" pos="{1} 0 1" gravcomp="{2}"><freejoint/><geom size=".1"/></body>'
     text = _world(body.format("floats", 0, 1) + body.format("falls", 1, 0))
-    physx, wanted = _both(_scene(text, tmp_path), 50)
+    physx, wanted = _both(scene_of(text, tmp_path), 50)
     np.testing.assert_allclose(physx["bodies/position"], wanted["bodies/position"], atol=2e-2)
     assert physx["bodies/position"][-1, 0, 0, 2] == pytest.approx(1, abs=1e-4)
 
@@ -453,7 +434,7 @@ def test_a_mesh(tmp_path: Path) -> None:
         '<geom type="plane" size="5 5 .1"/><body name="b" pos="0 0 .3" euler="0 0 30"><freejoint/>'
         '<geom type="mesh" mesh="w" mass="2"/></body></worldbody></mujoco>'
     )
-    simulator, description = _physx(_scene(text, tmp_path))
+    simulator, description = _physx(scene_of(text, tmp_path))
     assert "contact.meshes" in {d.parameter for d in description.deviations}
     height = _states(simulator, description, 150)["bodies/position"][-1, :, 0, 2]
     np.testing.assert_allclose(height, 0.05, atol=2e-3)
