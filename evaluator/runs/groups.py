@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, Generic, Protocol, TypeVar
 
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -184,6 +185,23 @@ _FOLLOWING = ("ring", "sparse")
 # which devices are visible is said by the device; these packages carry numbers and do not compute them
 _NOT_NUMERIC = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "mcap", "protobuf")
 
+# engines that only these simulators execute: for another simulator, that an engine is installed beside it is no
+# condition. Simulators that are not built in may execute any of them.
+_EXECUTED_BY: dict[str, tuple[str, ...]] = {
+    "brax": ("brax", "playground"),
+    "genesis-world": ("genesis",),
+    "isaaclab": ("isaaclab",),
+    "mani-skill": ("maniskill",),
+    "newton": ("newton", "isaaclab"),
+    "ovphysx": ("physx", "isaaclab"),
+    "ovstage": ("physx", "isaaclab"),
+    "playground": ("playground",),
+    "quadrants": ("genesis",),
+    "sapien": ("sapien", "maniskill"),
+    "taichi": ("calibration",),
+}
+_BUILT_IN = frozenset(("mujoco", "warp", "mjx", "madrona", *chain.from_iterable(_EXECUTED_BY.values())))
+
 
 def _conditions(recording: Described) -> dict[str, Any]:
     provenance = recording.provenance
@@ -191,7 +209,9 @@ def _conditions(recording: Described) -> dict[str, Any]:
     found = {**provenance.environment, **(packages if isinstance(packages, dict) else {})}
     if provenance.gpus:
         found["driver"] = provenance.gpus[0].get("driver", "")
-    return _without(found, _NOT_NUMERIC)
+    simulator = recording.configuration.simulator
+    idle = [name for name, users in _EXECUTED_BY.items() if simulator in _BUILT_IN and simulator not in users]
+    return _without(found, (*_NOT_NUMERIC, *idle))
 
 
 def _without(settings: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:

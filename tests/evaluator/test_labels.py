@@ -12,6 +12,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.groups import group
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given, row_names, short_device
+from gpusimbench.schemas.provenance import PROVENANCE
 from tests.conftest import Command, call
 from tests.synthetic import grid, write_recording
 
@@ -241,3 +242,26 @@ def test_a_run_that_failed_joins_those_of_a_modified_engine(tmp_path: Path) -> N
     write_recording(tmp_path, grid(1), name="b.mcap", run=1, built=False, status="FAILED")
     groups = group([open_recording(path) for path in sorted(tmp_path.glob("*.mcap"))])
     assert [len(found.recordings) for found in groups] == [2]
+
+
+@pytest.mark.parametrize(
+    ("simulator", "package", "groups"),
+    [
+        ("warp", "genesis-world", 1),
+        ("genesis", "genesis-world", 2),
+        ("warp", "mujoco", 2),
+        ("theirs", "genesis-world", 2),
+    ],
+)
+def test_packages_that_other_simulators_execute_part_no_groups(
+    tmp_path: Path, simulator: str, package: str, groups: int
+) -> None:
+    """Count the version of a package where the simulator may execute it; one that is not built in may execute all."""
+
+    def other(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["software"]["packages"] = {package: "2"}
+
+    files = [write_recording(tmp_path, grid(1), simulator=simulator, run=run) for run in (0, 1)]
+    files.append(write_recording(tmp_path, grid(1), simulator=simulator, run=2, change=other))
+    assert len(group([open_recording(file) for file in files])) == groups
