@@ -97,6 +97,7 @@ figures: install
 	$(BIN)/python docs/make_h200.py
 	$(BIN)/python docs/make_physics.py
 	$(BIN)/python docs/make_friction.py
+	$(BIN)/python docs/make_devices.py
 	$(BIN)/python -m docs.make_metrics
 	$(BIN)/python -m docs.make_loop
 

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.numbers import figure, interval, plural
 from gpusimbench.evaluator.report.leaders import speaks_against_pair
+from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -30,7 +32,7 @@ from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_POSITION,
     TOSS_ROTATION,
 )
-from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, ranked
+from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, configuration, ranked
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
 from gpusimbench.evaluator.statistics.families import holm
@@ -63,17 +65,22 @@ def table(evaluation: Evaluation) -> str:
 
 def front_table(evaluation: Evaluation) -> str:
     """Throughputs against errors, the fastest first, as Markdown; empty where none was timed."""
-    order = ranked(evaluation.results)
-    timed = {one.timed.group.key.device: one.timed.group.key.n_env for one in order if one.timed}
+    timed = [r for r in evaluation.results if known(r.metrics[FPS.name].value)]
     if not timed:
         return ""
-    ((device, n_env),) = timed.items()
+    # the number of environments that most were timed at ranks them; other numbers have columns of their own
+    often = Counter(r.group.key.n_env for r in timed)
+    n_env, *others = (n for n, _ in often.most_common())
+    order = ranked([r for r in evaluation.results if r not in timed or r.group.key.n_env == n_env])
+    rates = {(configuration(r), r.group.key.n_env): r.metrics[FPS.name].value for r in timed}
+    (device,) = {r.group.key.device for r in timed}
     against = {one.result.label: speaks_against_pair(one, evaluation.results) for one in order}
     better = beaten_by([one for one in order if not against[one.result.label]])
     runs = [run for one in order for run in one.result.group.recordings]
     named = labels([one.result.group.key for one in order], options_given(runs))
     names = {one.result.label: name for one, name in zip(order, named, strict=True)}
-    titles = ["simulator", f"env-steps/s, {n_env:,} envs", "simulated s/s", *(m.titled for m in _FRONT)]
+    titles = ["simulator", f"env-steps/s, {n_env:,} envs", *(f"{n:,} envs" for n in others), "simulated s/s"]
+    titles += [m.titled for m in _FRONT]
     rows = []
     for one in sorted(order, key=lambda one: -one.pace):
         if one.timed is None:
@@ -86,7 +93,9 @@ def front_table(evaluation: Evaluation) -> str:
         estimates = [one.result.metrics[m.name] for m in _FRONT]
         shown = [f"{figure(known(e.value) or 0.0, e.unit)} {interval(e)}" for e in estimates]
         recording = f"`{one.result.group.recordings[0].content_hash[:_HASH]}`"
-        rows.append([names[label], rate, f"{one.pace:,.0f}", *shown, verdict, recording])
+        elsewhere = (rates.get((configuration(one.result), n)) for n in others)
+        at_others = ["-" if value is None else f"{known(value):,.0f}" for value in elsewhere]
+        rows.append([names[label], rate, *at_others, f"{one.pace:,.0f}", *shown, verdict, recording])
     return _drawn([*titles, "on the front", "recording"], rows, f"{_named(_tosses(evaluation))} On {device}.")
 
 
