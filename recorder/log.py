@@ -26,6 +26,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gpusimbench.recorder.capture.array_hashes import ArrayHashWriter, Hashed, checked_name, hashed
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.capture.view import ViewWriter
@@ -223,6 +224,7 @@ class RecordingWriter:
             self._states = StateWriter(
                 self._sink, self._simulation.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=self._view()
             )
+            self._arrays = ArrayHashWriter(self._sink)
         except BaseException:
             self._sink.abandon()
             raise
@@ -318,6 +320,22 @@ class RecordingWriter:
         with postponed():
             self._sink.write(topic, message.SerializeToString())
             self._clocked = True
+
+    def fingerprint(self, name: str, arrays: Any, *, states: int | None = None) -> None:
+        """Hash arrays that the program has at an update: a policy, an optimizer, a gradient, a batch.
+
+        Two recordings of one program then tell which of these differed first, and whether states did before. Of each
+        array, 8 bytes a call are recorded, none of its numbers.
+
+        name    lower-case letters, digits and underscores; calls of one name are compared with each other in order
+        arrays  an array, or nested dicts, tuples and lists of them; of numpy, torch, JAX and what has __array__
+        states  that precede the call; None: those that were given to `append`
+
+        UsageError for another name, and for arrays of other kinds than real numbers and truth values.
+        """
+        found = arrays if isinstance(arrays, Hashed) else hashed(arrays, checked_name(name))
+        with postponed():
+            self._arrays.write(name, found, states=self._states.last_step + 1 if states is None else states)
 
     def invalid(self, reason: str) -> None:
         """Declare that the states mean nothing, in one sentence: contacts were dropped, a solver gave up."""

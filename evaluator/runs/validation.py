@@ -42,6 +42,7 @@ def demands(recording: Recording) -> Iterator[Callable[[], object]]:
     yield lambda: recording.dropouts
     yield lambda: recording.fingerprints("capture")
     yield lambda: recording.fingerprints("timed")
+    yield lambda: recording.program
     yield lambda: _failed(recording)
     for field in recording.fields:
         yield lambda field=field: recording.state(field.group, field.field)  # type: ignore[misc]
