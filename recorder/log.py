@@ -36,6 +36,7 @@ from gpusimbench.recorder.plan import check, utc_now
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
 from gpusimbench.recorder.probes.software import describe_software, package_list
+from gpusimbench.recorder.programs.folder import description, placed
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -46,6 +47,7 @@ from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import (
     LOGGED,
     PACKAGES,
+    PROGRAM,
     PROVENANCE,
     REAL,
     SCENE,
@@ -63,7 +65,8 @@ class RecordingWriter:
     where a state was not finite or ``invalid`` was called; failed, with the reason, where something is missing or an
     error left the block, which goes on its way.
 
-    path           final name; must not exist, and its folder must
+    path           final name; must not exist, and its folder must. In a run of gsb-run, a relative path lies in the
+                   folder of the run
     simulator      name of what computed the states; runs of one name, version and configuration are compared
     version        of it
     scene          a description, or a name where there is none; cubes and boards are found only in a description
@@ -113,7 +116,7 @@ class RecordingWriter:
         attachments: Mapping[str, tuple[str, bytes]] | None = None,
         view: Sequence[int] = (0,),
     ) -> None:
-        self.path = Path(path)
+        self.path = placed(path)
         self._scene = scene if isinstance(scene, Scene) else None
         self._attachments = dict(attachments or {})
         options = dict(options or {})
@@ -186,7 +189,7 @@ class RecordingWriter:
                 raise UsageError(f"two items of {field.name} have the same name")
         if c.run_index < 0:
             raise UsageError(f"run_index is at least 0, not {c.run_index}")
-        if taken := sorted({PROVENANCE, PACKAGES, SIMULATION, SCENE} & set(self._attachments)):
+        if taken := sorted({PROVENANCE, PACKAGES, PROGRAM, SIMULATION, SCENE} & set(self._attachments)):
             raise UsageError(f"attachments named {', '.join(taken)} are the recording's own")
         try:
             c.to_json()
@@ -215,6 +218,7 @@ class RecordingWriter:
             PACKAGES: ("text/plain", package_list().encode()),
             SIMULATION: ("application/json", self._simulation.to_json().encode()),
             **({SCENE: ("application/json", self._scene.to_json().encode())} if self._scene else {}),
+            **({PROGRAM: ("application/json", program)} if (program := description()) else {}),
             **self._attachments,
         }
         self._sink = Sink(self.path, compression=c.compression)

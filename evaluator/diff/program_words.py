@@ -58,9 +58,10 @@ def pairs(found: ProgramDifference) -> list[tuple[str, str]]:
 
 
 def section(found: ProgramDifference, dt: float) -> Section:
-    """Every part, in the order in which they differ."""
-    last = max((part.first.states for part in found.parts if part.first), default=0) + 1
-    ordered = sorted(found.parts, key=lambda part: (part.first.states, part.first.order) if part.first else (last, 0))
+    """All arrays, and the state fields that differ, in the order in which they do."""
+    shown = [part for part in found.parts if part.first is not None or part.kind is Kind.PROGRAM]
+    last = max((part.first.states for part in shown if part.first), default=0) + 1
+    ordered = sorted(shown, key=lambda part: (part.first.states, part.first.order) if part.first else (last, 0))
     rows = [
         [
             words.name(part.name),
@@ -71,4 +72,7 @@ def section(found: ProgramDifference, dt: float) -> Section:
         for part in ordered
     ]
     made = table("program", "", ("part", "of", "in a", "in b", "first difference"), rows)
-    return Section("program", "parts of the program", (made,), f"{plural(len(rows), 'part')}, steps or updates of each")
+    same = len(found.parts) - len(shown)
+    return Section(
+        "program", "parts of the program", (made,), f"{plural(same, 'other state field')} the same throughout"
+    )

@@ -8,9 +8,12 @@ from gpusimbench.evaluator.diff.words import WITHOUT_UNIT
 from gpusimbench.evaluator.render.document import Text, Tone
 
 
-def verdict_of(found: Difference) -> Text:
-    """The first line of what gsb-diff says."""
-    who = _who(found)
+def verdict_of(found: Difference, who: str = "") -> Text:
+    """The first line of what gsb-diff says.
+
+    who  the two, in words; empty: two recordings, or what is compared of one
+    """
+    who = who or _who(found)
     part = bool(found.compared.left_out or found.lost)
     if found.verdict is Verdict.IDENTICAL:
         if part:
