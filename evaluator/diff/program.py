@@ -101,7 +101,8 @@ def _differing(a: Updates, b: Updates, update: int) -> tuple[str, ...]:
     of_a, of_b = (list(zip(side.arrays[update], side.hashes[update].tolist(), strict=True)) for side in (a, b))
     if of_a == of_b:
         return ()
-    differing = (pair for pairs, others in ((of_a, of_b), (of_b, of_a)) for pair in pairs if pair not in set(others))
+    either = set(of_a) ^ set(of_b)
+    differing = [pair for pair in (*of_a, *of_b) if pair in either]
     return tuple(dict.fromkeys(array.split(" ", 2)[-1] for array, _ in differing)) or ("the order of its arrays",)
 
 

@@ -6,8 +6,9 @@ from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.parts import Kind, Part, ProgramDifference
 from gpusimbench.evaluator.render.document import NONE, Cell, Section, table
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.schemas.text import cut
 
-_ARRAYS, _NAMES = 3, 8
+_ARRAYS, _NAMES, _LAST = 3, 8, 100
 
 
 def sentence(found: ProgramDifference, first: Part, who: str, dt: float) -> str:
@@ -54,7 +55,7 @@ def pairs(found: ProgramDifference) -> list[tuple[str, str]]:
     arrays = [part for part in found.parts if part.kind is Kind.PROGRAM]
     counts = [f"{words.name(part.name)} ({plural(min(part.count_a, part.count_b), 'update')})" for part in arrays]
     said = [("arrays", words.names(counts, _NAMES))] if counts else []
-    return [*said, ("last equal", found.last_same)] if found.last_same else said
+    return [*said, ("last equal", cut(found.last_same, _LAST))] if found.last_same else said
 
 
 def section(found: ProgramDifference, dt: float) -> Section:

@@ -216,3 +216,18 @@ def test_hashes_out_of_order_are_damage(tmp_path: Path, monkeypatch: pytest.Monk
     recording = train(tmp_path / "a.mcap")
     with pytest.raises(DamagedRecording, match="/program/policy has an update out of order"):
         verify(recording)
+
+
+def test_copies_have_the_hashes(plain: Recording, tmp_path: Path) -> None:
+    """Pack a recording, and recover one that was cut short: all arrays are compared, and gsb-info counts them."""
+    path = Path(str(plain.path))
+    packed, partial = tmp_path / "packed" / path.name, tmp_path / "c.mcap.partial"
+    call("gsb-share", "pack", path, "--out", packed.parent, code=ExitCode.OK)
+    partial.write_bytes(path.read_bytes()[:-100])
+    call("gsb-share", "recover", partial, "--out", tmp_path / "c.mcap")
+    for copy in (packed, tmp_path / "c.mcap"):
+        found = compare(plain, open_recording(copy)).program
+        assert found is not None
+        assert (found.first, found.only_a) == (None, ())
+    said = " ".join(call("gsb-info", packed, code=ExitCode.OK).stdout.split())
+    assert "arrays of the program: policy (4 updates), batch (3 updates), gradient (3 updates)" in said
