@@ -57,7 +57,8 @@ def _first(found: Difference, first: Divergence) -> Pairs:
     if found.compared.n_env > 1:
         pairs = f"{first.envs:,} of {found.compared.n_env:,} pairs of envs differ at that step"
         said += f"; {pairs}, first {pair_of(found, first)}"
-    return [("first at", said), *_where(found, first)]
+    label = "states differ" if found.program and found.program.first else "first at"
+    return [(label, said), *_where(found, first)]
 
 
 def _where(found: Difference, first: Divergence) -> Pairs:

@@ -40,14 +40,20 @@ def where(part: Part, dt: float) -> str:
     part  one that differs
     dt    time of a step [s]
     """
+    if part.kind is not Kind.PROGRAM:
+        return f"at {_when(part, dt)} in {words.name(part.name)}"
+    what = part.reason or words.names(part.arrays, _ARRAYS)
+    of = words.name(part.name)
+    return f"at update {part.update} of {of}{'' if what == of else f' ({what})'}, {_when(part, dt)}"
+
+
+def _when(part: Part, dt: float) -> str:
     assert part.first is not None
     step = part.first.states - 1
     time = f"step {step} ({step * dt:g} s)"
     if part.kind is not Kind.PROGRAM:
-        return f"at {time} in {words.name(part.name)}"
-    what = part.reason or words.names(part.arrays, _ARRAYS)
-    when = f"after {time}" if step >= 0 else "before the first state"
-    return f"at update {part.update} of {words.name(part.name)}{'' if what == part.name else f' ({what})'}, {when}"
+        return time
+    return f"after {time}" if step >= 0 else "before the first state"
 
 
 def pairs(found: ProgramDifference) -> list[tuple[str, str]]:
@@ -68,11 +74,12 @@ def section(found: ProgramDifference, dt: float) -> Section:
             words.name(part.name),
             part.kind.value,
             *(Cell(f"{count:,}", count) for count in (part.count_a, part.count_b)),
-            where(part, dt) if part.first else NONE,
+            NONE if part.update is None else str(part.update),
+            _when(part, dt) if part.first else NONE,
         ]
         for part in ordered
     ]
-    made = table("program", "", ("part", "of", "in a", "in b", "first difference"), rows)
+    made = table("program", "", ("part", "of", "in a", "in b", "update", "first difference"), rows)
     same = len(found.parts) - len(shown)
     return Section(
         "program", "parts of the program", (made,), f"{plural(same, 'other state field')} the same throughout"

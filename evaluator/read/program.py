@@ -29,13 +29,18 @@ class Updates:
 
 
 def read_program(messages: Messages) -> dict[str, Updates]:
-    """Hashes by name; DamagedRecording where they are not in order or not one an array."""
+    """Hashes by name; DamagedRecording where they are not in order, one is missing, or one is not of an array."""
     names = {topic: topics.parse_program(topic) for topic in messages.topics("/program/")}
-    return {
+    found = {
         name: _updates(messages, topic, parts)
         for topic, name in names.items()
         if name is not None and (parts := messages.read(topic, "gsb.v1.ArrayHashes", MAX_MESSAGES))
     }
+    if found:
+        order = np.sort(np.concatenate([updates.order for updates in found.values()]))
+        if (order != np.arange(len(order))).any():
+            raise messages.damaged("an update of /program is missing or there twice")
+    return found
 
 
 def _updates(messages: Messages, topic: str, parts: list[Any]) -> Updates:

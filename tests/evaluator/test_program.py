@@ -17,6 +17,7 @@ from gpusimbench.evaluator.diff.result import Difference, Verdict
 from gpusimbench.evaluator.diff.verdict import verdict_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.capture.array_hashes import ArrayHashWriter, Hashed
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode
 from gpusimbench.schemas.fields import array_field
@@ -202,20 +203,46 @@ def test_the_command_says_so(tmp_path: Path) -> None:
     assert document["program"]["first"]["name"] == "policy"
 
 
-def test_hashes_out_of_order_are_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Refuse a recording whose updates are not numbered as they were written."""
-    from gpusimbench.recorder.capture.array_hashes import ArrayHashWriter, Hashed
-
+@pytest.mark.parametrize(
+    ("forge", "said"),
+    [
+        (
+            lambda w, name: w._updates.update({name: w._updates.get(name, 0) * 2}),
+            "/program/policy has an update out of",
+        ),
+        (lambda w, name: setattr(w, "_order", w._order * 2), "an update of /program is missing or there twice"),
+        (lambda w, name: w._arrays.update({name: ()}), ""),
+    ],
+)
+def test_hashes_out_of_order_are_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, forge: Callable[[ArrayHashWriter, str], Any], said: str
+) -> None:
+    """Refuse a recording whose updates are not numbered as they were written; repeating the layout is no damage."""
     write = ArrayHashWriter.write
 
     def forged(self: ArrayHashWriter, name: str, found: Hashed, *, states: int) -> None:
-        self._updates[name] = self._updates.get(name, 0) * 2
+        forge(self, name)
         write(self, name, found, states=states)
 
     monkeypatch.setattr(ArrayHashWriter, "write", forged)
     recording = train(tmp_path / "a.mcap")
-    with pytest.raises(DamagedRecording, match="/program/policy has an update out of order"):
+    if not said:
         verify(recording)
+        return
+    with pytest.raises(DamagedRecording, match=said):
+        verify(recording)
+
+
+def test_an_update_behind_the_states_is_damage(tmp_path: Path) -> None:
+    """Refuse an update that follows more states than the recording has."""
+    fields = (array_field("observation", "float64"),)
+    with RecordingWriter(
+        tmp_path / "a.mcap", simulator="mine", version="1", scene="toy", n_env=2, dt=0.5, steps=1, fields=fields
+    ) as log:
+        log.append(np.zeros((2, 2)))
+        log.fingerprint("policy", np.ones(2), states=3)
+    with pytest.raises(DamagedRecording, match="update 0 of policy follows 3 states, and there are 2"):
+        verify(open_recording(tmp_path / "a.mcap"))
 
 
 def test_copies_have_the_hashes(plain: Recording, tmp_path: Path) -> None:
