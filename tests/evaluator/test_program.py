@@ -258,3 +258,33 @@ def test_copies_have_the_hashes(plain: Recording, tmp_path: Path) -> None:
         assert (found.first, found.only_a) == (None, ())
     said = " ".join(call("gsb-info", packed, code=ExitCode.OK).stdout.split())
     assert "arrays of the program: policy (4 updates), batch (3 updates), gradient (3 updates)" in said
+
+
+def compared(folder: Path, base: list[Path], head: list[Path]) -> dict[str, Any]:
+    """What gsb-compare finds of the arrays."""
+    target = folder / "found.json"
+    code = ExitCode.OK if len(base) > 1 else ExitCode.NOTHING_COMPARABLE
+    call("gsb-compare", "--base", *base, "--head", *head, "--no-cache", "--json", target, code=code)
+    (found,) = json.loads(target.read_text())["compared"]
+    (finding,) = (finding for finding in found["findings"] if finding["name"] == "arrays")
+    assert isinstance(finding, dict)
+    return finding
+
+
+@pytest.mark.slow
+def test_sets_of_runs_are_compared_by_their_arrays(tmp_path: Path) -> None:
+    """Find that a gradient of head differs although no state does, and that one run a side does not show it."""
+    plants = {"base": nothing, "same": nothing, "head": planted("gradient", 2)}
+    base, same, head = (
+        [Path(str(train(tmp_path / f"{name}-{i}.mcap", plant, run_index=i).path)) for i in range(2)]
+        for name, plant in plants.items()
+    )
+    assert compared(tmp_path, base, same)["said"]["head"] == (
+        "bit-identical in all updates: batch (3), gradient (3), policy (4)"
+    )
+    finding = compared(tmp_path, base, head)
+    assert (finding["change"], finding["said"]["head"]) == ("changed", "gradient differs from update 2 on")
+    finding = compared(tmp_path, base[:1], head[:1])
+    assert finding["why_not"].startswith("gradient differs from update 2 on, but runs of one side may differ")
+    finding = compared(tmp_path, [base[0], head[1]], same)
+    assert finding["why_not"] == "runs of base differ from each other: gradient differs from update 2 on"
