@@ -19,6 +19,7 @@ SCRIPTS = (
     ("transport",),
     ("transport_large",),
     ("wrap_overhead",),
+    ("array_hashes",),
     ("engine_best", "--sim", "warp", "--n-env", "64", "--steps", "50"),
 )
 

@@ -26,6 +26,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gpusimbench.recorder.capture.array_hashes import ArrayHashWriter, Hashed, checked_name, hashed
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.capture.view import ViewWriter
@@ -35,6 +36,7 @@ from gpusimbench.recorder.plan import check, utc_now
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
 from gpusimbench.recorder.probes.software import describe_software, package_list
+from gpusimbench.recorder.programs.folder import description, placed
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -45,6 +47,7 @@ from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import (
     LOGGED,
     PACKAGES,
+    PROGRAM,
     PROVENANCE,
     REAL,
     SCENE,
@@ -62,7 +65,8 @@ class RecordingWriter:
     where a state was not finite or ``invalid`` was called; failed, with the reason, where something is missing or an
     error left the block, which goes on its way.
 
-    path           final name; must not exist, and its folder must
+    path           final name; must not exist, and its folder must. In a run of gsb-run, a relative path lies in the
+                   folder of the run
     simulator      name of what computed the states; runs of one name, version and configuration are compared
     version        of it
     scene          a description, or a name where there is none; cubes and boards are found only in a description
@@ -112,7 +116,7 @@ class RecordingWriter:
         attachments: Mapping[str, tuple[str, bytes]] | None = None,
         view: Sequence[int] = (0,),
     ) -> None:
-        self.path = Path(path)
+        self.path = placed(path)
         self._scene = scene if isinstance(scene, Scene) else None
         self._attachments = dict(attachments or {})
         options = dict(options or {})
@@ -185,7 +189,7 @@ class RecordingWriter:
                 raise UsageError(f"two items of {field.name} have the same name")
         if c.run_index < 0:
             raise UsageError(f"run_index is at least 0, not {c.run_index}")
-        if taken := sorted({PROVENANCE, PACKAGES, SIMULATION, SCENE} & set(self._attachments)):
+        if taken := sorted({PROVENANCE, PACKAGES, PROGRAM, SIMULATION, SCENE} & set(self._attachments)):
             raise UsageError(f"attachments named {', '.join(taken)} are the recording's own")
         try:
             c.to_json()
@@ -214,6 +218,7 @@ class RecordingWriter:
             PACKAGES: ("text/plain", package_list().encode()),
             SIMULATION: ("application/json", self._simulation.to_json().encode()),
             **({SCENE: ("application/json", self._scene.to_json().encode())} if self._scene else {}),
+            **({PROGRAM: ("application/json", program)} if (program := description()) else {}),
             **self._attachments,
         }
         self._sink = Sink(self.path, compression=c.compression)
@@ -223,6 +228,7 @@ class RecordingWriter:
             self._states = StateWriter(
                 self._sink, self._simulation.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=self._view()
             )
+            self._arrays = ArrayHashWriter(self._sink)
         except BaseException:
             self._sink.abandon()
             raise
@@ -318,6 +324,22 @@ class RecordingWriter:
         with postponed():
             self._sink.write(topic, message.SerializeToString())
             self._clocked = True
+
+    def fingerprint(self, name: str, arrays: Any, *, states: int | None = None) -> None:
+        """Hash arrays that the program has at an update: a policy, an optimizer, a gradient, a batch.
+
+        Two recordings of one program then tell which of these differed first, and whether states did before. Of each
+        array, 8 bytes a call are recorded, none of its numbers.
+
+        name    lower-case letters, digits and underscores; calls of one name are compared with each other in order
+        arrays  an array, or nested dicts, tuples and lists of them; of numpy, torch, JAX and what has __array__
+        states  that precede the call; None: those that were given to `append`
+
+        UsageError for another name, and for arrays of other kinds than real numbers and truth values.
+        """
+        found = arrays if isinstance(arrays, Hashed) else hashed(arrays, checked_name(name))
+        with postponed():
+            self._arrays.write(name, found, states=self._states.last_step + 1 if states is None else states)
 
     def invalid(self, reason: str) -> None:
         """Declare that the states mean nothing, in one sentence: contacts were dropped, a solver gave up."""

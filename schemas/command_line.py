@@ -32,6 +32,7 @@ _READS = {
     "gsb-check": ("GSB_PROGRESS", "TMPDIR"),
     "gsb-diff": ("GSB_PROGRESS",),
     "gsb-episodes": ("GSB_PROGRESS",),
+    "gsb-run": ("CUDA_VISIBLE_DEVICES", "GSB_PROGRESS"),
     "gsb-probe": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
     "gsb-fit": ("CUDA_VISIBLE_DEVICES", "GSB_CUBE_TOSS", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
     "gsb-import": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
@@ -47,6 +48,10 @@ _FILES = {
         "OUT/NAME.mcap.partial  a run that is being made, or what a crash left of it, for gsb-share recover",
     ),
     "gsb-audit": ("OUT/NAME.mcap  a replay, a recording like any other",),
+    "gsb-run": (
+        "OUT/run-K/  a run: recordings that the program wrote, and output.txt, what it printed",
+        "OUT/run-K/program.json  the command, and digests of the files that it names",
+    ),
     "gsb-probe": ("OUT/NAME.mcap  a run, a recording like any other",),
     "gsb-fit": (
         "OUT/NAME.mcap  the reference, the start and the fitted options, recordings like any other",
@@ -73,6 +78,8 @@ _SEE_ALSO = {
     "gsb-diff": "gsb-audit, which replays first; gsb-eval, for sets of runs; docs/diff.md",
     "gsb-episodes": "gsb-info, which counts episodes; gsb-diff, which shows where two recordings part; "
     "docs/how-to/evaluate-a-policy.md; docs/how-to/record-your-task.md",
+    "gsb-run": "gsb-diff, which compares two recordings; gsb-audit --command, which runs a program again; "
+    "docs/how-to/is-my-training-reproducible.md; docs/how-to/record-your-task.md",
     "gsb-audit": "gsb-record --replay, which only replays; gsb-diff, which shows where two part; docs/audit.md",
     "gsb-compare": "gsb-eval, for one set; gsb-diff, for two files; docs/compare.md; docs/history.md; "
     "docs/how-to/ci.md",

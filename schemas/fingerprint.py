@@ -24,10 +24,11 @@ from gpusimbench.schemas.mixing import GOLDEN, mix_in_place
 
 ALGORITHM = "sum-splitmix64-v1"
 
-_WORD = {4: "<u4", 8: "<u8"}
+_WORD = {1: "<u1", 2: "<u2", 4: "<u4", 8: "<u8"}
 
 _WORDS = 1 << 16  # at a time: few enough for a core's cache, many enough for several threads to share an interpreter
 _FEW_WORDS = 24
+_MASK = (1 << 64) - 1
 
 _of_thread = threading.local()
 
@@ -57,6 +58,23 @@ def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:
             _add_rows(flat[begin : begin + rows], some)
         position += count
     return total
+
+
+def array_fingerprint(array: NDArray[np.generic]) -> int:
+    """Hash of one array of any shape, over its elements in row-major order: that of the module, however many there are.
+
+    array  elements of 1, 2, 4 or 8 bytes
+    """
+    words = np.ascontiguousarray(array).reshape(-1).view(_WORD[array.dtype.itemsize])
+    total = 0
+    for begin in range(0, len(words), _WORDS):
+        part = words[begin : begin + _WORDS]
+        mixed, spare = (buffer[: len(part)] for buffer in _scratch(1, _WORDS)[:, 0])
+        np.add(part, _keys(0, _WORDS, 1)[0, : len(part)], out=mixed)
+        mixed += np.uint64(begin * GOLDEN & _MASK)
+        mix_in_place(mixed, spare)
+        total += int(mixed.sum(dtype=np.uint64))
+    return total & _MASK
 
 
 @lru_cache(maxsize=64)

@@ -25,6 +25,8 @@ PACKAGES = "pip-freeze.txt"
 SCENE = "scene.json"
 ENGINE_LOG = "engine-log.txt"
 TRIALS = "trials.csv"
+PROGRAM = "program.json"
+"""What gsb-run says of the program that logged its states: its command, and digests of the files that this names."""
 
 MAX_FIELDS = 256
 """State fields of a recording."""

@@ -17,6 +17,7 @@ VIEW = "view"
 """No group of states has this name: /state/view/... is what viewers draw, which is made of states (schemas.view)."""
 
 _ACTION = re.compile(r"/action/([a-z0-9_]+)/([0-9]{1,9})")
+_PROGRAM = re.compile(r"/program/([a-z0-9_]+)")
 _COUNT = re.compile(r"/count/([a-z0-9_]+)/([a-z0-9_]+)")
 _STATE = re.compile(r"/state/([a-z0-9_]+)/([a-z0-9_]+)/([0-9]{1,9})")
 _ENV_DIGITS = 6
@@ -105,6 +106,17 @@ def timing(phase: str) -> str:
 def fingerprint(phase: str) -> str:
     """Topic of the state hashes of a phase."""
     return f"/fingerprint/{phase}"
+
+
+def program(name: str) -> str:
+    """Topic of the hashes of arrays that a program has beside its simulator."""
+    return f"/program/{name}"
+
+
+def parse_program(topic: str) -> str | None:
+    """Name of these arrays, or None where the topic is another."""
+    match = _PROGRAM.fullmatch(topic)
+    return match[1] if match else None
 
 
 def count(phase: str, name: str) -> str:

@@ -125,7 +125,7 @@ def audit(group: Group[Recording], plan: ReplayPlan, *, max_ulps: int, say: Call
     asked = originals[0].path
     if isinstance(asked, Location):
         raise UsageError(f"{asked} is not on this machine: download it to replay it")
-    replays = make_replays(asked, plan.within(_ran(originals[0])), say)
+    replays = make_replays(originals[0], asked, plan.within(_ran(originals[0])), say)
     done = Audit(originals, replays)
     if replays.refused:
         return Audit(originals, replays, why_not=replays.refused)

@@ -56,6 +56,7 @@ def _audit(audit: Audit, required: Level) -> dict[str, Any]:
             "max_ulp": d.max_ulp,
             "compared": d.compared,
             "first": d.first,
+            "program": d.program,
             "notes": d.notes,
         },
         "settings": audit.settings.deciding,

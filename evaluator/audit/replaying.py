@@ -8,7 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gpusimbench.evaluator.compute.recorder import COMMAND, Made, as_path, record
+from gpusimbench.evaluator.compute.recorder import COMMAND, Made, ProgramRun, as_path, record, run_program
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.errors import RecordingError, UsageError
 
 # A file says how long its run took, and its options may ask for any amount of work: neither is to be trusted.
 _LEAST_S, _MOST_S, _LONGER = 600, 86_400, 20
@@ -25,6 +27,8 @@ class ReplayPlan:
     options  NAME=VALUE, instead of what was recorded
     phases   comma separated; None: those that were recorded
     models   whether the model files that recordings carry may be loaded
+    command  the user's program that made the recording, as a shell takes it, {seed} for the recorded seed; it is run
+             instead of gsb-record; None: gsb-record is
     """
 
     out: Path
@@ -34,10 +38,14 @@ class ReplayPlan:
     options: tuple[str, ...] = ()
     phases: str | None = None
     models: bool = False
+    command: str | None = None
 
     def within(self, ran: float) -> ReplayPlan:
-        """The same with a time limit: 20 times what the original took [s], at least ten minutes, at most a day."""
-        if self.timeout is not None:
+        """The same with a time limit: 20 times what the original took [s], at least ten minutes, at most a day.
+
+        The user's own program has none, since no file decides what it does.
+        """
+        if self.timeout is not None or self.command is not None:
             return self
         return replace(self, timeout=float(min(max(_LEAST_S, math.ceil(_LONGER * ran)), _MOST_S)))
 
@@ -55,6 +63,17 @@ class ReplayPlan:
         given += [f"--option={option}" for option in self.options]
         return given
 
+    def program(self, seed: int) -> list[str]:
+        """Words of the user's command. UsageError where a shell would not take it."""
+        assert self.command is not None
+        try:
+            words = shlex.split(self.command)
+        except ValueError as error:
+            raise UsageError(f"--command '{self.command}' is no command: {error}") from None
+        if not words:
+            raise UsageError("--command is the program and its arguments in one word, such as 'python train.py'")
+        return [word.replace("{seed}", str(seed)) for word in words]
+
 
 @dataclass(frozen=True)
 class Replays:
@@ -70,8 +89,43 @@ class Replays:
     refused: str
 
 
-def make_replays(recording: Path, plan: ReplayPlan, say: Callable[[str], None]) -> Replays:
-    """Run gsb-record and wait for its end; what it says on the way goes to `say`, line by line. Raises as `record`."""
-    given = plan.arguments(recording)
+def make_replays(original: Recording, path: Path, plan: ReplayPlan, say: Callable[[str], None]) -> Replays:
+    """Run gsb-record, or the user's program, and wait for its end; what is said on the way goes to `say`, by line.
+
+    path  of the original
+
+    Raises as `record`.
+    """
+    if plan.command is not None:
+        words = plan.program(original.configuration.seed)
+        runs = run_program(words, plan.runs, plan.out, plan.timeout or 0, say)
+        return Replays(shlex.join(words), tuple(_made(run, original, path.name) for run in runs), "")
+    given = plan.arguments(path)
     made, refused = record(given, say)
     return Replays(shlex.join([COMMAND, *given]), made, refused)
+
+
+def _made(run: ProgramRun, original: Recording, name: str) -> Made:
+    """Of a program's run the recording that belongs beside the original: that of its name, or the only one alike."""
+    if run.status != "ended":
+        return Made("stopped" if run.status == "timeout" else "failed", f"the program {run.reason}", None)
+    found, reasons = [], []
+    for path in run.recordings:
+        try:
+            recording = Recording(path)
+        except RecordingError as error:
+            reasons.append(str(error))
+            continue
+        if _alike(recording, original):
+            found.append(recording)
+    named = [recording for recording in found if recording.path.name == name] or found
+    if len(named) != 1:
+        wrote = f"the program wrote {len(run.recordings)} recordings into {run.folder}, of which {len(found)} have the"
+        why = f"{wrote} simulator, scene, environments and steps of the original"
+        return Made("failed", "; ".join([why, *reasons]), None)
+    return Made(named[0].status, named[0].reason, Path(str(named[0].path)))
+
+
+def _alike(a: Recording, b: Recording) -> bool:
+    one, other = a.configuration, b.configuration
+    return all(getattr(one, of) == getattr(other, of) for of in ("simulator", "scene", "n_env", "dt", "steps"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from gpusimbench.evaluator.audit.audit import Audit, Outcome
 from gpusimbench.evaluator.audit.checking import RULES, Check
 from gpusimbench.evaluator.audit.verdict import Level, Rung
+from gpusimbench.evaluator.diff import program_words
 from gpusimbench.evaluator.diff.result import Difference, Divergence
 from gpusimbench.evaluator.diff.words import differ
 from gpusimbench.evaluator.render.document import (
@@ -113,7 +114,11 @@ def _facts(audit: Audit, checked: Check, every: bool) -> Pairs:
         follows = [rung.holds and rung.level is not level for rung in audit.verdict.rungs]
         pairs += [_rung(rung) for rung, below in zip(audit.verdict.rungs, follows, strict=True) if every or not below]
     if audit.difference is not None:
-        if audit.difference.first is not None:
+        program = audit.difference.program
+        if program is not None and program.first is not None:
+            said = program_words.sentence(program, program.first, "original and replay", audit.difference.a.dt)
+            pairs.append(("differs", said))
+        elif audit.difference.first is not None:
             pairs.append(("differs", _first(audit.difference.first)))
         pairs.append(("settings", _settings(audit, audit.difference)))
     return pairs

@@ -118,6 +118,7 @@ class Inspection:
     failing      environments that failed; None where the states of all were kept
     overflowed   buffers and limits that were run into; None where the engine does not tell
     episodes     of the environments of a task; None where the recording has none, or they cannot be read
+    program      updates of the arrays that a program hashed, by name
     view         environments that viewers show of the file, as it is
     """
 
@@ -150,6 +151,7 @@ class Inspection:
     overflowed: tuple[str, ...] | None = None
     dropouts: tuple[str, ...] = ()
     episodes: EpisodeCounts | None = None
+    program: dict[str, int] = field(default_factory=dict)
     view: tuple[int, ...] = ()
     attachments: dict[str, int] = field(default_factory=dict)
     doubtful: tuple[str, ...] = ()
@@ -233,6 +235,7 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
         "overflowed": read(lambda: _overflowed(recording), None),
         "dropouts": read(lambda: recording.dropouts, _NONE),
         "episodes": read(lambda: count_episodes(recording), None),
+        "program": read(lambda: {name: len(u.order) for name, u in recording.program.items()}, dict[str, int]()),
         "view": tuple(sorted(_shown(scan))),
     }
     return {**said, "unread": tuple(unread)}

@@ -50,6 +50,7 @@ examples:
   gsb-audit theirs.mcap
   gsb-audit theirs/*.mcap --runs 6 --require bit-identical --json audit.json
   gsb-audit theirs.mcap --option device=cpu
+  gsb-audit train.mcap --command 'python train.py --seed {seed}'
 """
 
 
@@ -75,9 +76,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--require",
         choices=_LEVELS,
-        default=_LEVELS[-1],
         metavar="LEVEL",
-        help="weakest level that ends with exit code 0; see --help-all for the levels (default: %(default)s)",
+        help="weakest level that ends with exit code 0; see --help-all for the levels (default: same-distribution; "
+        "bit-identical with --command)",
     )
     p.add_argument(
         "--ulps",
@@ -93,7 +94,13 @@ def parser() -> argparse.ArgumentParser:
         "--timeout",
         type=float,
         metavar="S",
-        help="time limit of each replay [s]; 0: none (default: 20 times the original)",
+        help="time limit of each replay [s]; 0: none (default: 20 times the original, none with --command)",
+    )
+    p.add_argument(
+        "--command",
+        metavar="PROGRAM",
+        help="the program that made the recording, and its arguments, in one word; it is run again instead of a "
+        "simulator of gsb-record, and {seed} stands for the recorded seed",
     )
     p.add_argument(
         "--allow-model",
@@ -107,8 +114,8 @@ def parser() -> argparse.ArgumentParser:
         "--option", action="append", default=[], metavar="NAME=VALUE", help="replace a recorded option; repeatable"
     )
     p.show_first(
-        "--runs", "--out", "--require", "--json", "--all", "--python", "--timeout", "--allow-model", "--phases",
-        "--option",
+        "--runs", "--out", "--require", "--json", "--all", "--command", "--python", "--timeout", "--allow-model",
+        "--phases", "--option",
     )  # fmt: skip
     return p
 
@@ -135,8 +142,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         tuple(arguments.option),
         arguments.phases,
         arguments.allow_model,
+        arguments.command,
     )
-    required = Level(arguments.require)
+    required = Level(arguments.require or (_LEVELS[-1] if arguments.command is None else _LEVELS[0]))
     checked = check_files(expand_paths(arguments.files))
     for path, findings in checked.damaged.items():
         complain("gsb-audit", f"{path} is not audited: {'; '.join(findings)}")
@@ -159,6 +167,10 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError(f"--runs must be from 1 to {_MOST_RUNS}, not {arguments.runs}")
     if arguments.ulps < 0:
         raise UsageError(f"--ulps must be at least 0, not {arguments.ulps}")
+    if arguments.command is not None and (
+        arguments.python or arguments.option or arguments.phases or arguments.allow_model
+    ):
+        raise UsageError("--command runs the program as it is: no --python, --option, --phases or --allow-model")
     if arguments.timeout is not None and not 0 <= arguments.timeout < float("inf"):
         raise UsageError(f"--timeout is a number of seconds, 0 for never, not {arguments.timeout}")
     check_target(arguments.json)

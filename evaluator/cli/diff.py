@@ -126,7 +126,7 @@ def _compare(recordings: list[Recording], envs: list[int]) -> Difference:
 
 
 def _exit_code(found: Difference) -> int:
-    if found.first is not None:
+    if found.different:
         return int(ExitCode.GATE_FAILED)
     return int(ExitCode.DATA_LOST if found.lost else ExitCode.OK)
 

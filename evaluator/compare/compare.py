@@ -12,7 +12,7 @@ from gpusimbench.evaluator.compare.matching import Pair, check_across, match
 from gpusimbench.evaluator.compare.mechanics import compare_mechanics
 from gpusimbench.evaluator.compare.numbers import compare_numbers, compared_by
 from gpusimbench.evaluator.compare.outcome import JOINT_OUTCOMES, compare_outcomes, compare_spread
-from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
+from gpusimbench.evaluator.compare.sameness import all_alike, compare_arrays, compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.schedule import Schedule, schedule
 from gpusimbench.evaluator.compare.sides import Side
 from gpusimbench.evaluator.compare.validity import compare_validity
@@ -200,7 +200,7 @@ def _draft(pair: Pair, protocols: Sequence[Protocol], settings: Settings, work: 
             found = joints[metric.unit] if of_joints else between
             add(Axis.VARIABILITY, compare_spread(metric, found, settings, applies=applies or of_joints))
     add(Axis.DETERMINISM, *compare_determinism(one, other))
-    add(Axis.BITS, compare_bits(base, head))
+    add(Axis.BITS, compare_bits(base, head), compare_arrays(base, head))
     timed_base, timed_head = (
         timed_work(group.key, runs, protocol.of(group.recordings))
         for group, runs, protocol in zip((pair.base, pair.head), (base, head), protocols, strict=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,12 @@ from gpusimbench.evaluator.results.claims import every
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, comparable, identical
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate
+from gpusimbench.evaluator.runs.array_history import ArrayHistory
 from gpusimbench.evaluator.runs.state_hashes import Histories
 
 _ENVS, _RUNS = "bits of environments", "bits of runs"
 _STATES = "states of head and base"
+_ARRAYS = "arrays of the program"
 
 
 def compare_determinism(base: GroupRuns, head: GroupRuns) -> Sequence[Finding]:
@@ -67,6 +69,45 @@ def compare_bits(base: Runs, head: Runs) -> Finding | None:
     said = f"bit-identical at {rows} steps" if same else f"differ from step {int(one.steps[apart[0]])} on"
     change = Change.SAME if same else Change.CHANGED
     return Finding(Axis.BITS, "states", _STATES, change, said=("", said), n=n, method=method)
+
+
+def compare_arrays(base: Runs, head: Runs) -> Finding | None:
+    """Whether the arrays that a program hashed are the same, and if not, which differ first; None without any."""
+    runs = [*base, *head]
+    if not any(r.arrays for r in runs):
+        return None
+    n = (len(base), len(head))
+    if not all(n) or len({frozenset(r.arrays) for r in runs}) > 1:
+        return not_compared(Axis.BITS, "arrays", _ARRAYS, "not all runs hashed arrays of the same names")
+    for name, side in zip(("base", "head"), (base, head), strict=True):
+        if any(found := [_first_other(side[0].arrays, run.arrays) for run in side[1:]]):
+            why = f"runs of {name} differ from each other: {next(filter(None, found))}"
+            return not_compared(Axis.BITS, "arrays", _ARRAYS, why)
+    first = _first_other(base[0].arrays, head[0].arrays)
+    if first and min(n) < 2:
+        why = f"{first}, but runs of one side may differ too: needs two runs a side"
+        return not_compared(Axis.BITS, "arrays", _ARRAYS, why)
+    counts = (f"{name} ({len(history.digests)})" for name, history in sorted(base[0].arrays.items()))
+    said = first or f"bit-identical in all updates: {', '.join(counts)}"
+    change = Change.CHANGED if first else Change.SAME
+    method = "64-bit hashes of every array at every update"
+    return Finding(Axis.BITS, "arrays", _ARRAYS, change, said=("", said), n=n, method=method)
+
+
+def _first_other(one: Mapping[str, ArrayHistory], other: Mapping[str, ArrayHistory]) -> str:
+    """The update that differs first, in words; empty where none does."""
+    found = []
+    for name, a in one.items():
+        b = other[name]
+        common = min(len(a.digests), len(b.digests))
+        apart = np.flatnonzero((a.digests[:common] != b.digests[:common]).any(axis=1))
+        if len(apart) or len(a.digests) != len(b.digests):
+            update = int(apart[0]) if len(apart) else common
+            longer = a if len(a.digests) > update else b
+            found.append(
+                (int(longer.states[update]), int(longer.order[update]), f"{name} differs from update {update} on")
+            )
+    return min(found)[2] if found else ""
 
 
 def _shared(one: Sequence[Histories], other: Sequence[Histories]) -> str:

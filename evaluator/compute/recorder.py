@@ -17,6 +17,7 @@ from typing import IO, Any
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 
 COMMAND = "gsb-record"
+PROGRAMS = "gsb-run"
 _KEPT_LINES = 50
 _MOST_BYTES = 16 << 20  # of what it prints on standard output
 
@@ -38,11 +39,7 @@ def record(arguments: Sequence[str], say: Callable[[str], None]) -> tuple[tuple[
     GsbError where it cannot be started or does not say what it did. An interruption is passed on to it, and raised
     again once it has ended.
     """
-    with tempfile.TemporaryFile() as printed:
-        command = [sys.executable, "-P", "-m", "gpusimbench.recorder.cli", *arguments, "--json"]
-        returncode, said = _run(command, printed, say)
-        printed.seek(0)
-        output = printed.read(_MOST_BYTES)
+    returncode, output, said = _said(["gpusimbench.recorder.cli", *arguments, "--json"], say)
     if returncode == ExitCode.USAGE and not output:
         return (), _refusal(said)
     return _made(output, returncode, said), ""
@@ -50,16 +47,58 @@ def record(arguments: Sequence[str], say: Callable[[str], None]) -> tuple[tuple[
 
 def about(simulator: str) -> dict[str, Any]:
     """What ``gsb-record --list NAME --json`` says of a simulator; UsageError where there is none of that name."""
-    with tempfile.TemporaryFile() as printed:
-        command = [sys.executable, "-P", "-m", "gpusimbench.recorder.cli", "--list", simulator, "--json"]
-        returncode, said = _run(command, printed, lambda text: None)
-        printed.seek(0)
-        output = printed.read(_MOST_BYTES)
+    returncode, output, said = _said(["gpusimbench.recorder.cli", "--list", simulator, "--json"], lambda text: None)
     try:
         found: dict[str, Any] = json.loads(output)["simulator"]
         return found
     except (ValueError, LookupError):
         raise UsageError(_refusal(said) if returncode else f"'{simulator}' is no simulator") from None
+
+
+@dataclass(frozen=True)
+class ProgramRun:
+    """One run of a user's program, as recorder.programs.run has it."""
+
+    folder: Path
+    status: str
+    reason: str
+    seconds: float
+    peaks: dict[str, int]
+    recordings: tuple[Path, ...]
+    partial: tuple[Path, ...]
+
+
+def run_program(
+    command: Sequence[str], runs: int, out: Path, time_limit: float, say: Callable[[str], None]
+) -> tuple[ProgramRun, ...]:
+    """Run a user's program in fresh processes, each with a folder of its own in `out`; those that were begun.
+
+    time_limit  of each run [s]; 0: none
+    say         gets a line at the end of each run
+
+    UsageError where there is no such program; otherwise raises as `record`.
+    """
+    arguments = ["gpusimbench.recorder.programs", str(runs), str(out), f"{time_limit:g}", *command]
+    returncode, output, said = _said(arguments, lambda told: None if told.startswith(PROGRAMS) else say(told))
+    if returncode == ExitCode.USAGE:
+        raise UsageError(_refusal(said, PROGRAMS))
+    try:
+        made: list[dict[str, Any]] = json.loads(output)["runs"]
+        paths = ("recordings", "partial")
+        return tuple(
+            ProgramRun(**{**run, "folder": Path(run["folder"]), **{key: tuple(map(Path, run[key])) for key in paths}})
+            for run in made
+        )
+    except (ValueError, LookupError, TypeError):
+        raise GsbError(f"the program was not run: {_refusal(said, PROGRAMS)}") from None
+
+
+def _said(arguments: Sequence[str], say: Callable[[str], None]) -> tuple[int, bytes, list[str]]:
+    """Exit code, standard output and last lines on standard error of a module of the recorder."""
+    with tempfile.TemporaryFile() as printed:
+        returncode, said = _run([sys.executable, "-P", "-m", *arguments], printed, say)
+        printed.seek(0)
+        return returncode, printed.read(_MOST_BYTES), said
 
 
 def _run(command: Sequence[str], printed: IO[bytes], say: Callable[[str], None]) -> tuple[int, list[str]]:
@@ -97,8 +136,8 @@ def as_path(path: Path) -> str:
     return f"./{text}" if text.startswith("-") else text  # which is no option
 
 
-def _refusal(said: Sequence[str]) -> str:
-    mark = f"{COMMAND}: "
+def _refusal(said: Sequence[str], command: str = COMMAND) -> str:
+    mark = f"{command}: "
     refusals = [line.removeprefix(mark) for line in said if line.startswith(mark)]
     return refusals[-1] if refusals else (said[-1] if said else "it did not say why")
 

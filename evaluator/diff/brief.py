@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff import program_words, words
 from gpusimbench.evaluator.diff.result import Contacts, Difference, Divergence, Growth, Side
 from gpusimbench.evaluator.diff.verdict import both_of, pair_of, step_of
 from gpusimbench.evaluator.missing import Missing
@@ -16,6 +16,8 @@ Labels = tuple[int, ...]
 def brief(found: Difference, *, every: bool) -> Facts:
     """Both sides, what was compared and the first difference; and in short, unless it follows at length, the rest."""
     pairs: Pairs = [("a", _side(found.a)), ("b", _side(found.b)), ("compared", _compared(found))]
+    if found.program:
+        pairs += program_words.pairs(found.program)
     if found.first:
         pairs += _first(found, found.first)
         if every:
@@ -55,7 +57,8 @@ def _first(found: Difference, first: Divergence) -> Pairs:
     if found.compared.n_env > 1:
         pairs = f"{first.envs:,} of {found.compared.n_env:,} pairs of envs differ at that step"
         said += f"; {pairs}, first {pair_of(found, first)}"
-    return [("first at", said), *_where(found, first)]
+    label = "states differ" if found.program and found.program.first else "first at"
+    return [(label, said), *_where(found, first)]
 
 
 def _where(found: Difference, first: Divergence) -> Pairs:

@@ -8,6 +8,7 @@ from gpusimbench.evaluator.diff.first import first_divergence, first_of_timed
 from gpusimbench.evaluator.diff.hashes import CommonHashes, common_hashes, timed_hashes
 from gpusimbench.evaluator.diff.numbers import pairing
 from gpusimbench.evaluator.diff.order import BodyOrder
+from gpusimbench.evaluator.diff.program import compare_program
 from gpusimbench.evaluator.diff.result import Basis, Compared, Difference, Splits
 from gpusimbench.evaluator.diff.selection import Selection, one
 from gpusimbench.evaluator.diff.settings import differing_settings
@@ -77,6 +78,9 @@ def _compare(a: Selection, b: Selection) -> Difference:
         bodies = BodyOrder(states, a, b)
         bodies.look()
     one_recording = a.recording is b.recording
+    program = None
+    if not one_recording and ratio == 1 and a.envs == b.envs:
+        program = compare_program(a.recording, b.recording, walked.fields, first)
     return Difference(
         a=a.side(),
         b=b.side(),
@@ -90,10 +94,10 @@ def _compare(a: Selection, b: Selection) -> Difference:
             timed_steps=step_range(timed.steps_a.tolist()) if timed else None,
             unseen_steps=sum(found.unseen(states.steps_a) for found in (hashes, timed) if found),
             no_hashes=no_hashes,
-            left_out=(*left_out, *remarks.uncommon(a, b, states)),
+            left_out=(*left_out, *remarks.uncommon(a, b, states), *remarks.arrays(a, b, program)),
         ),
         bitwise=bitwise,
-        bit_identical=bitwise and first is None,
+        bit_identical=bitwise and first is None and (program is None or program.first is None),
         same_up_to_env_order=same_envs,
         same_up_to_body_order=_body_order(bodies),
         bodies_of_other_envs=bodies is not None and bodies.any_env and not bodies.in_env,
@@ -104,6 +108,7 @@ def _compare(a: Selection, b: Selection) -> Difference:
         settings=() if one_recording else differing_settings(a.recording, b.recording),
         copies=not one_recording and a.recording.provenance.run_id == b.recording.provenance.run_id,
         notes=(*remarks.notes(a, b, fields, hashes), *remarks.timed(timed_agreement)),
+        program=program,
         described=a.recording.simulation is not None and b.recording.simulation is not None,
     )
 

@@ -7,6 +7,7 @@ import numpy as np
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.hashes import CommonHashes
+from gpusimbench.evaluator.diff.parts import ProgramDifference
 from gpusimbench.evaluator.diff.result import Basis
 from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement
@@ -70,6 +71,17 @@ def uncommon(a: Selection, b: Selection, states: CommonStates) -> list[str]:
             since = "" if ends.common is None else f" after its step {ends.common}"
             found.append(f"states of {name}{of_which}{since}, up to {ends.own}")
     return found
+
+
+def arrays(a: Selection, b: Selection, program: ProgramDifference | None) -> list[str]:
+    """Arrays of the program that one side hashed alone, or that cannot be compared."""
+    if program is not None:
+        sides = (("a", program.only_a), ("b", program.only_b))
+        return [f"hashes of {name}: only in {side}" for side, names in sides for name in names]
+    if a.recording is not b.recording and (a.recording.program or b.recording.program):
+        why = "these are of other environments" if a.envs != b.envs else "the time steps differ"
+        return [f"hashes of arrays of the program: {why}"]
+    return []
 
 
 def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | None) -> tuple[str, ...]:

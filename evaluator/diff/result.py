@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from gpusimbench.evaluator.diff.parts import ProgramDifference
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.metrics.divergence import GrowthFit
 from gpusimbench.evaluator.missing import Missing
@@ -329,6 +330,7 @@ class Difference:
     copies                 both are recordings of the same run, so that being equal says nothing
     notes                  what a reader must know beside, a sentence each
     described              whether the simulators were described, so that `settings` is of their versions and options
+    program                what differs first of states and of arrays that a program hashed; None without such hashes
     """
 
     a: Side
@@ -348,11 +350,17 @@ class Difference:
     copies: bool
     notes: tuple[str, ...]
     described: bool = True
+    program: ProgramDifference | None = None
+
+    @property
+    def different(self) -> bool:
+        """Whether anything that was compared differs."""
+        return self.first is not None or (self.program is not None and self.program.first is not None)
 
     @property
     def verdict(self) -> Verdict:
         """What it comes to."""
-        if self.first is not None:
+        if self.different:
             return Verdict.DIFFERENT
         return Verdict.IDENTICAL if self.bit_identical else Verdict.WITHIN_RESOLUTION
 

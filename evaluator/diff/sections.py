@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff import program_words, words
 from gpusimbench.evaluator.diff.brief import Labels, brief, classes_of, reached
 from gpusimbench.evaluator.diff.result import Basis, Difference, FieldDifference, Growth
 from gpusimbench.evaluator.diff.verdict import verdict_of
@@ -37,7 +37,9 @@ _BASIS = {
 def diff_document(found: Difference, *, every: bool = False) -> Document:
     """The verdict and what it rests on; with `every`, all that is known."""
     blocks: list[Block] = [verdict_of(found), brief(found, every=every), *_remarks(found, every)]
-    sections = [_fields(found), _distances(found.growth), _equal(found)] if found.first else []
+    sections: list[Section | None] = [_fields(found), _distances(found.growth), _equal(found)] if found.first else []
+    if found.program is not None:
+        sections.append(program_words.section(found.program, found.a.dt))
     sections.append(_settings(found))
     at_length = [section for section in sections if section is not None]
     if every:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff import program_words, words
 from gpusimbench.evaluator.diff.result import Difference, Divergence, Number, Verdict
 from gpusimbench.evaluator.diff.words import WITHOUT_UNIT
 from gpusimbench.evaluator.render.document import Text, Tone
 
 
-def verdict_of(found: Difference) -> Text:
-    """The first line of what gsb-diff says."""
-    who = _who(found)
+def verdict_of(found: Difference, who: str = "") -> Text:
+    """The first line of what gsb-diff says.
+
+    who  the two, in words; empty: two recordings, or what is compared of one
+    """
+    who = who or _who(found)
     part = bool(found.compared.left_out or found.lost)
     if found.verdict is Verdict.IDENTICAL:
         if part:
@@ -19,6 +22,8 @@ def verdict_of(found: Difference) -> Text:
     if found.verdict is Verdict.WITHIN_RESOLUTION:
         far = " as far as compared" if part else ""
         return Text(f"{who} are equal within the resolution{far}; their bits cannot be compared.", Tone.WARNING)
+    if found.program is not None and found.program.first is not None:
+        return Text(program_words.sentence(found.program, found.program.first, who, found.a.dt), Tone.BAD)
     assert found.first is not None
     since = f"differ {_since(found, found.first)}"
     if found.same_up_to_env_order:

@@ -16,6 +16,7 @@ from gpusimbench.evaluator.read.actions import action_names, apart_by_design, re
 from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
 from gpusimbench.evaluator.read.hardware import HardwareTrace, read_hardware
 from gpusimbench.evaluator.read.messages import MAX_END_BYTES, Messages
+from gpusimbench.evaluator.read.program import Updates, read_program
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.read.step_evidence import (
     ActionStream,
@@ -182,6 +183,11 @@ class Recording:
         """State hashes of a phase ("capture", "timed"); None where it has none."""
         cut_short = self.status == "incomplete"
         return read_fingerprints(self._messages, phase, n_env=self.configuration.n_env, cut_short=cut_short)
+
+    @cached_property
+    def program(self) -> dict[str, Updates]:
+        """Hashes of arrays that a program has beside its simulator, by name ("policy", "gradient", ...)."""
+        return read_program(self._messages)
 
     @cached_property
     def failing(self) -> Failing | None:

@@ -38,7 +38,8 @@ _LONGEST = 600
 
 _FIRST = (
     "status", "integrity", "CAUTION", "sha256", "recorded", "simulator", "scene", "size", "varied", "protocol",
-    "determinism", "machine", "gpu 0", "throughput", "states", "episodes", "failed", "not read", "gate", "LOST",
+    "determinism", "machine", "gpu 0", "throughput", "states", "episodes", "hashed", "failed", "not read", "gate",
+    "LOST",
 )  # fmt: skip
 """What is said without --all."""
 
@@ -306,6 +307,9 @@ def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
         yield "states", ONLY_FAILING if failing else f"none; {fields} could be captured"
     if found.episodes is not None:
         yield "episodes", _episodes(found.episodes)
+    if found.program:
+        counts = [f"{name} ({plural(count, 'update')})" for name, count in found.program.items()]
+        yield "hashed", f"arrays of the program: {', '.join(counts)}"
     if found.failing and found.provenance:
         yield "failed", counted(found.failing, found.provenance.configuration.n_env)
     for array in found.actions:

@@ -22,6 +22,7 @@ from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
 from gpusimbench.evaluator.read.stamp import stamp_of
 from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.streams import Fingerprints
+from gpusimbench.evaluator.runs.array_history import array_histories
 from gpusimbench.evaluator.runs.joints import sample_joints
 from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_memory
 from gpusimbench.evaluator.runs.outcome import outcome_of
@@ -150,6 +151,7 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
         timed_from=timing["timed"].first_step if "timed" in timing else NOT_TIMED,
         cotenants=cotenants(gpu) if gpu else CoTenants(),
         episodes=count_episodes(recording) or Missing("no episodes of a task were recorded"),
+        arrays=array_histories(recording),
     )
 
 

@@ -14,6 +14,7 @@ from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.read.step_evidence import ActionStream
+from gpusimbench.evaluator.runs.array_history import ArrayHistory
 from gpusimbench.evaluator.runs.joints import JointSample
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.positions import Positions
@@ -111,6 +112,7 @@ class Run:
     timed_from  steps of the scene that were made before the first timed one
     cotenants   other processes on that device, as far as the recordings it was read with tell
     episodes    of the environments of a task, counted
+    arrays      of the program, by name; empty where it hashed none
     """
 
     path: Place
@@ -152,6 +154,7 @@ class Run:
     timed_from: int | Missing = NOT_MEASURED
     cotenants: CoTenants = CoTenants()
     episodes: EpisodeCounts | Missing = NOT_MEASURED
+    arrays: dict[str, ArrayHistory] = field(default_factory=dict)
 
     @property
     def configuration(self) -> RunConfiguration:

@@ -42,6 +42,7 @@ def demands(recording: Recording) -> Iterator[Callable[[], object]]:
     yield lambda: recording.dropouts
     yield lambda: recording.fingerprints("capture")
     yield lambda: recording.fingerprints("timed")
+    yield lambda: _updated(recording)
     yield lambda: _failed(recording)
     for field in recording.fields:
         yield lambda field=field: recording.state(field.group, field.field)  # type: ignore[misc]
@@ -92,6 +93,17 @@ def _hashed(recording: Recording) -> None:
     bare = np.setdiff1d(arrays[0].steps, hashes.steps)
     if len(bare):
         raise DamagedRecording(f"{recording.path}: the state of step {bare[0]} has no state hash, and others have")
+
+
+def _updated(recording: Recording) -> None:
+    # no update follows more states than there are
+    most = recording.configuration.captured_steps + 1
+    for name, updates in recording.program.items():
+        if updates.states[-1] > most:
+            raise DamagedRecording(
+                f"{recording.path}: update {len(updates.states) - 1} of {name} follows {updates.states[-1]} states, "
+                f"and there are {most}"
+            )
 
 
 def _failed(recording: Recording) -> None:

@@ -154,7 +154,7 @@ def launch(
     }
     try:
         end = _follow(task, scratch, interpreter, configuration.timeout, progress, interruptions, cage)
-        said = "" if end.last else _last_line(scratch / _OUTPUT)
+        said = "" if end.last else last_line(scratch / _OUTPUT)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
         if kept is not None:
@@ -297,7 +297,8 @@ def _hear(record: dict[str, Any], end: _End, timeout: float, deadline: _Deadline
     progress(record["phase"], record["done"], record["of"])
 
 
-def _last_line(output: Path) -> str:
+def last_line(output: Path) -> str:
+    """The last line with anything printable in a file of what a process printed; empty where there is none."""
     try:
         with output.open("rb") as stream:
             stream.seek(max(0, stream.seek(0, os.SEEK_END) - _SAID_BYTES))
@@ -326,7 +327,7 @@ def _result(
         return Result(index, "incomplete", "interrupted before anything was written", None, ExitCode.FAILURE, cause)
     where = f"; what it had written is in {left}" if left else "; it had written nothing"
     words = f"; the last that it printed: {said}" if said else ""
-    how = _how_it_died(end.returncode)
+    how = how_it_died(end.returncode)
     if end.overdue and end.returncode == -signal.SIGKILL:
         how = f"did not end {GRACE_S:g} s after its timeout of {configuration.timeout:g} s and was killed in phase "
         how += end.phase
@@ -336,7 +337,8 @@ def _result(
     return Result(index, "incomplete", reason, left, ExitCode.DATA_LOST, cause, died=True)
 
 
-def _how_it_died(returncode: int) -> str:
+def how_it_died(returncode: int) -> str:
+    """In words, what a return code of subprocess.Popen says."""
     if returncode >= 0:
         return f"ended with exit code {returncode}"
     try:

@@ -105,7 +105,10 @@ def _read(container: Container, path: Path, allow_model: bool) -> Source:
         raise DamagedRecording("it does not say what its simulator was")
     simulation = Simulation.from_json(described, budget)
     if simulation.fresh_start == LOGGED:
-        raise UsageError(f"{path} cannot be replayed: a program logged it that no simulator of gsb-record stands for")
+        raise UsageError(
+            f"{path} cannot be replayed: a program logged it that no simulator of gsb-record stands for; gsb-audit "
+            "--command runs the program again"
+        )
     if scene is None:
         raise DamagedRecording("it does not say what its scene was")
     scene_hash = hashlib.sha256(scene).hexdigest()

@@ -17,7 +17,8 @@ def wrap(envs: Any, path: str | Path, *, steps: int, dt: float | None = None, in
     """Record a Gymnasium VectorEnv while it is used: the same interface, and a file.
 
     envs   the vector environment, of Gymnasium 1.0 or later
-    path   of the recording, which must not exist, in a folder that does
+    path   of the recording, which must not exist, in a folder that does; a relative path lies in the folder of the run
+           where gsb-run runs the program
     steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on
     dt     simulated time of a step [s]; None: what the task says of it (dt, step_dt, or render_fps of its metadata)
     infos  scalars of the infos that are recorded, such as "success"; "a/b" is b in the dictionary a

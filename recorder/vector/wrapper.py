@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.fields import field_of, recorded_dtype
 from gpusimbench.recorder.vector.infos import GIVEN, array_name, nothing_told, told
@@ -46,6 +47,8 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         self._dtypes: dict[str, np.dtype[Any]] = {}  # of what is put into it
         self._filled = 0  # of them; a reset may still replace what the last of them says
         self._made = 0  # steps
+        self._hashes: list[tuple[str, Hashed, int]] = []  # of calls before the first step, which begins the recording
+        self._hashing = False
 
     def reset(self, *, seed: Any = None, options: Any = None) -> Any:
         """See VectorEnv.reset."""
@@ -57,6 +60,8 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
 
     def step(self, actions: Any) -> Any:
         """See VectorEnv.step. The first step begins the recording, since it tells what actions are."""
+        if self._made == self._steps:
+            self._recording(lambda: self._end(None))
         if self._ended:
             return self.env.step(actions)
         given = _arrays(actions, "action")  # before the environment may change them
@@ -66,6 +71,26 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         returned = self._recording(lambda: self.env.step(actions))
         self._recording(lambda: self._stepped(given, *returned))
         return returned
+
+    def fingerprint(self, name: str, arrays: Any) -> None:
+        """Hash arrays of an update, such as a policy, a gradient or a batch; see RecordingWriter.fingerprint.
+
+        With fingerprints, the recording ends when step is called more often than `steps`, or when the environment is
+        closed: so that what follows the last step is in it. Later calls are not recorded.
+
+        UsageError as there, and where the recording has ended before the first call.
+        """
+        if self._ended:
+            if self._hashing:
+                return
+            raise UsageError("the recording has ended: call fingerprint before the last of the recorded steps, too")
+        self._hashing = True
+        found = hashed(arrays, checked_name(name))
+        states = self._made + 1 if self._start is not None else 0
+        if self._log is None:
+            self._hashes.append((name, found, states))
+        else:
+            self._recording(lambda: self._hash(name, found, states))
 
     def close(self, **keywords: Any) -> Any:
         """See VectorEnv.close. A recording of fewer steps than were asked for ends as failed, and says so."""
@@ -140,6 +165,9 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         self._dtypes = {name: array.dtype for name, array in row.items()}
         self._put(0, row)
         self._filled = 1
+        for name, hashes, states in self._hashes:
+            self._hash(name, hashes, states)
+        self._hashes = []
 
     def _stepped(self, given: Row, observation: Any, reward: Any, terminated: Any, truncated: Any, info: Any) -> None:
         seen = _arrays(observation, "observation", copy=False)
@@ -155,8 +183,12 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         self._put(self._filled, {**given, **seen, **of_step, **last, **self._counts(), **of_info})
         self._filled += 1
         self._made += 1
-        if self._made == self._steps:
+        if self._made == self._steps and not self._hashing:
             self._end(None)
+
+    def _hash(self, name: str, found: Hashed, states: int) -> None:
+        assert self._log is not None
+        self._log.fingerprint(name, found, states=states)
 
     def _counts(self) -> Row:
         return {"episode": self._ledger.episode, "episode_step": self._ledger.step}

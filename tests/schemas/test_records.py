@@ -46,6 +46,7 @@ _WIRE = {
     },
     "Event": {"kind": 1, "phase": 2, "monotonic_ns": 3, "unix_ns": 4, "text": 5},
     "FingerprintBlock": {"first_step": 1, "steps": 2, "stride": 3, "env_start": 4, "envs": 5, "hashes": 6},
+    "ArrayHashes": {"update": 1, "order": 2, "states": 3, "arrays": 4, "hashes": 5},
     "StepCounts": {"first_step": 1, "stride": 2, "mean": 3, "p95": 4, "max": 5},
     "Overflow": {"first_step": 1, "stride": 2, "bits": 3, "envs": 4},
     "ActionStream": {

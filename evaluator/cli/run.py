@@ -1,0 +1,106 @@
+"""gsb-run: does a program do the same again, and if not, what differs first?"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, write_json
+from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.text import line, show
+
+if TYPE_CHECKING:
+    from gpusimbench.evaluator.programs.comparison import Comparison
+
+_MOST_RUNS = 1000
+
+_EPILOG = """\
+The program runs R times, one run after another, each in a process of its own with the environment variable GSB_RUN,
+which names the folder of the run: OUT/run-0, OUT/run-1, ... There, gpusimbench.wrap and RecordingWriter put recordings
+whose path is relative. What the program prints is in output.txt.
+
+The recordings of all runs are compared with those of the first. If the program hashes its policy, gradients or batches
+(log.fingerprint), the verdict says whether one of them, the actions or the simulator differed first.
+
+exit codes:
+  0  all runs wrote the same recordings, bit for bit
+  1  a run failed or took longer than --time-limit; those that ended do not differ
+  2  wrong usage, or the program cannot be started
+  3  a recording is damaged
+  4  runs differ
+  5  there is nothing to compare: the runs wrote no recordings of the same names
+
+examples:
+  gsb-run -- python train.py --seed 3
+  gsb-run --json - -- python train.py --seed 3 | jq .verdict
+  gsb-run --runs 3 --time-limit 600 --out seed-3 -- python train.py --seed 3
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-run",
+        "Run a program several times, and say whether the runs are the same bit for bit, or which of simulator, "
+        "actions, policy, gradient and batch differs first.",
+        _EPILOG,
+    )
+    p.add_argument("program", nargs="+", metavar="PROGRAM", help="the program and its arguments, behind --")
+    p.add_argument("--runs", type=int, default=2, metavar="R", help="how many runs (default: %(default)s)")
+    p.add_argument(
+        "--out", type=local_path, default=Path("program-runs"), metavar="DIR",
+        help="folder of the runs; further runs get further numbers (default: program-runs/)",
+    )  # fmt: skip
+    p.add_argument(
+        "--time-limit", type=float, default=0.0, metavar="S",
+        help="interrupt a run after so many seconds; 0: never (default: 0)",
+    )  # fmt: skip
+    add_json(p, "results")
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Run the program, compare and print; returns the exit code."""
+    from gpusimbench.evaluator.compute.recorder import run_program
+    from gpusimbench.evaluator.programs.comparison import compare_runs
+    from gpusimbench.evaluator.programs.document import dump_json, runs_document
+    from gpusimbench.evaluator.render.terminal import print_document
+
+    if not 2 <= arguments.runs <= _MOST_RUNS:
+        raise UsageError(f"--runs must be from 2 to {_MOST_RUNS}, not {arguments.runs}")
+    if not 0 <= arguments.time_limit < float("inf"):
+        raise UsageError(f"--time-limit is a number of seconds, 0 for never, not {arguments.time_limit}")
+    check_target(arguments.json)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # no run goes on that nobody waits for
+    runs = run_program(arguments.program, arguments.runs, arguments.out, arguments.time_limit, _say)
+    found = compare_runs(arguments.program, runs)
+    if arguments.json:
+        write_json(arguments.json, dump_json(found))
+    if arguments.json != "-":
+        print_document(runs_document(found), sys.stdout)
+    return int(_exit_code(found))
+
+
+def _exit_code(found: Comparison) -> ExitCode:
+    if any(one.difference is not None and one.difference.different for one in found.compared):
+        return ExitCode.GATE_FAILED
+    if found.failed:
+        return ExitCode.FAILURE
+    return ExitCode.NOTHING_COMPARABLE if found.verdict is None else ExitCode.OK
+
+
+def _say(said: str) -> None:
+    show(line(said), error=True)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-run."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

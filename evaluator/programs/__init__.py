@@ -1,0 +1,1 @@
+"""Runs of a user's program, held against each other: gsb-run."""

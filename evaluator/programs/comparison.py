@@ -1,0 +1,102 @@
+"""Recordings of several runs of one program: which of them belong together, and whether they are the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpusimbench.evaluator.compute.recorder import ProgramRun
+from gpusimbench.evaluator.diff.compare import compare
+from gpusimbench.evaluator.diff.result import Difference, Verdict
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.errors import NothingComparable
+from gpusimbench.schemas.progress import each
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A recording of the first run beside that of the same name of another run.
+
+    name         of the recording within the folder of a run
+    run          number of the other run, from 1
+    difference   a is of the first run; None where they cannot be compared, and `why_not` says why
+    """
+
+    name: str
+    run: int
+    difference: Difference | None
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What runs of one program came to.
+
+    command    the program and its arguments
+    runs       in order
+    compared   by recording, then by run
+    left_out   what could not be compared, a sentence each
+    """
+
+    command: tuple[str, ...]
+    runs: tuple[ProgramRun, ...]
+    compared: tuple[Compared, ...]
+    left_out: tuple[str, ...]
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """What all comparisons come to; None where there is none."""
+        found = [one.difference.verdict for one in self.compared if one.difference is not None]
+        order = list(Verdict)
+        return order[max(map(order.index, found))] if found else None
+
+    @property
+    def failed(self) -> bool:
+        """Whether a run did not end with exit code 0."""
+        return any(run.status != "ended" for run in self.runs)
+
+    @property
+    def whole(self) -> bool:
+        """Whether all recordings of all runs were compared, in all that they have."""
+        differences = [one.difference for one in self.compared if one.difference is not None]
+        return not self.left_out and not any(d.compared.left_out or d.lost for d in differences)
+
+
+def compare_runs(command: Sequence[str], runs: Sequence[ProgramRun]) -> Comparison:
+    """Hold the recordings of the first run against those of the same names of all others.
+
+    DamagedRecording where one is not what it says.
+    """
+    found = [_by_name(run) for run in runs]
+    names = sorted(set().union(*found))
+    left_out = [
+        f"{name}: written by run {', run '.join(str(i) for i in there)} of {len(runs)} runs"
+        for name in names
+        if len(there := [i for i, run in enumerate(found) if name in run]) < len(runs)
+    ]
+    left_out += [f"{path}: the recording was not ended" for run in runs for path in run.partial]
+    pairs = [
+        (name, number, found[0][name], found[number][name])
+        for name in names
+        for number in range(1, len(runs))
+        if name in found[0] and name in found[number]
+    ]
+    compared = [_compared(name, number, a, b) for name, number, a, b in each(pairs, "comparing runs")]
+    left_out += [f"{one.name} of run {one.run}: {one.why_not}" for one in compared if one.difference is None]
+    return Comparison(tuple(command), tuple(runs), tuple(compared), tuple(left_out))
+
+
+def _by_name(run: ProgramRun) -> dict[str, Path]:
+    return {path.relative_to(run.folder).as_posix(): path for path in run.recordings}
+
+
+def _compared(name: str, number: int, a: Path, b: Path) -> Compared:
+    recordings = [Recording(path) for path in (a, b)]
+    for recording in recordings:
+        verify(recording)
+    try:
+        return Compared(name, number, compare(*recordings))
+    except NothingComparable as error:
+        return Compared(name, number, None, str(error))

@@ -1,0 +1,1 @@
+"""Programs of users, run in fresh processes, whose recordings lie in a folder of each run."""

@@ -1,0 +1,150 @@
+"""One run of a program: a fresh process, its folder, its end."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.process.launch import Interruptions, how_it_died, last_line
+from gpusimbench.recorder.programs.folder import VARIABLE, describe
+from gpusimbench.recorder.programs.memory import ProgramMemory
+from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.writing import create
+
+GRACE_S = 10.0
+"""How long a program whose time is over may take to end its recordings, before it is killed [s]."""
+
+OUTPUT = "output.txt"
+"""In the folder of a run: what the program prints."""
+
+
+@dataclass(frozen=True)
+class ProgramRun:
+    """How a run ended.
+
+    folder      of the run
+    status      "ended" with exit code 0, "failed", "timeout" or "interrupted"
+    reason      in a sentence; empty where it ended with exit code 0
+    seconds     it took, by the clock
+    peaks       the most memory [bytes]: "host", of the program and its processes; "gpu0", ..., of the whole device
+    recordings  whole files that the program wrote into the folder, sorted
+    partial     recordings that it did not end
+    """
+
+    folder: str
+    status: str
+    reason: str
+    seconds: float
+    peaks: dict[str, int]
+    recordings: tuple[str, ...]
+    partial: tuple[str, ...]
+
+
+def new_folder(out: Path) -> Path:
+    """Make the folder of the next run, out/run-K with the first K that is free. UsageError where it cannot be made."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for number in range(1_000_000):
+            with suppress(FileExistsError):
+                (out / f"run-{number}").mkdir()
+                return out / f"run-{number}"
+    except OSError as error:
+        raise UsageError(f"cannot make a folder of a run in {out}: {error.strerror}") from None
+    raise UsageError(f"{out} is full of runs")
+
+
+def run_program(
+    command: Sequence[str], folder: Path, *, time_limit: float, gpus: Gpus, interruptions: Interruptions
+) -> ProgramRun:
+    """Run a program to its end; all that it started ends with it.
+
+    command     the program and its arguments
+    folder      of the run; the environment variable VARIABLE names it to the program
+    time_limit  then it is interrupted, and GRACE_S later killed [s]; 0: never
+
+    UsageError where the program cannot be started, GsbError where its folder cannot be written.
+    """
+    describe(folder, command)
+    begun = time.monotonic()
+    try:
+        child = _start(command, folder)
+    except GsbError:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    memory = ProgramMemory(child.pid, gpus)
+    memory.start()
+    interruptions.follow(child)
+    late = False
+    try:
+        late = not _ends(child, time_limit)
+        if late:
+            _send(child, signal.SIGINT)
+            _ends(child, GRACE_S)
+    finally:
+        _send(child, signal.SIGKILL)  # also what it left running
+        child.wait()
+        interruptions.follow(None)
+        memory.stop()
+    status, reason = _end(child.returncode, late, interruptions.count > 0, time_limit, folder)
+    return ProgramRun(
+        folder=str(folder),
+        status=status,
+        reason=reason,
+        seconds=time.monotonic() - begun,
+        peaks=memory.peaks,
+        recordings=_found(folder, ".mcap"),
+        partial=_found(folder, PARTIAL),
+    )
+
+
+def _start(command: Sequence[str], folder: Path) -> subprocess.Popen[bytes]:
+    with create(folder / OUTPUT) as printed:
+        try:
+            return subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.STDOUT,
+                env={**os.environ, VARIABLE: str(folder.absolute())}, start_new_session=True,
+            )  # fmt: skip
+        except FileNotFoundError:
+            raise UsageError(f"there is no program {command[0]}") from None
+        except OSError as error:
+            raise UsageError(f"{command[0]} cannot be started: {error.strerror}") from None
+        except ValueError as error:  # such as a null byte
+            raise GsbError(f"{command[0]} cannot be started: {error}") from None
+
+
+def _ends(child: subprocess.Popen[bytes], seconds: float) -> bool:
+    """Wait for its end, so long at most [s], 0: however long; whether it came."""
+    try:
+        child.wait(seconds or None)
+    except subprocess.TimeoutExpired:
+        return False
+    return True
+
+
+def _send(child: subprocess.Popen[bytes], number: signal.Signals) -> None:
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(child.pid, number)
+
+
+def _end(returncode: int, late: bool, interrupted: bool, time_limit: float, folder: Path) -> tuple[str, str]:
+    if interrupted:
+        return "interrupted", "interrupted"
+    if late:
+        return "timeout", f"did not end within {time_limit:g} s"
+    if returncode == 0:
+        return "ended", ""
+    said = last_line(folder / OUTPUT)
+    return "failed", how_it_died(returncode) + (f"; the last that it printed: {said}" if said else "")
+
+
+def _found(folder: Path, ending: str) -> tuple[str, ...]:
+    return tuple(sorted(str(path) for path in folder.rglob(f"*{ending}") if path.is_file()))
