@@ -39,6 +39,7 @@ ENGINES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
     "newton-featherstone": ("newton", {"solver": "featherstone"}, {}),
     "physx": ("physx", {"device": "cpu"}, {}),
     "physx-pgs": ("physx", {"device": "cpu", "solver": "PGS"}, {}),
+    "isaaclab": ("isaaclab", {"device": "cpu"}, {}),
     "genesis": ("genesis", {"device": "cpu"}, {}),
     "genesis-64": ("genesis", {"device": "cpu", "precision": "64"}, {}),
 }

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.model.contents import solver_options
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
 from gpusimbench.recorder.simulators.newton.made import Quantities, as_mujoco_has_it, different
-from gpusimbench.recorder.simulators.physx.articulations import Articulations
 from gpusimbench.recorder.simulators.physx.contacts import apart, friction_of, frictions, may_touch
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
 from gpusimbench.recorder.simulators.physx.servos import Servo
 from gpusimbench.recorder.simulators.physx.stage import FAR
-from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Plan, collides
+from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Plan, Tree, collides
 from gpusimbench.schemas.imported import PARAMETERS, Imported, Values
 from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.text import few
@@ -61,7 +61,19 @@ class Held:
     added: dict[str, float]
 
 
-def held(plan: Plan, servos: dict[int, Servo], source: Articulations) -> Held:
+class Source(Protocol):
+    """The articulations of all environments, as the engine has them."""
+
+    def held(self, tree: Tree, name: str) -> tuple[Sequence[str], Sequence[str], NDArray[np.float32]]:
+        """What PhysX holds of a tree in environment 0, by the name of a tensor (ovphysx.types.TensorType without
+        ARTICULATION_): names of its links, names of its joints, and the rows."""
+
+    def link_poses(self) -> NDArray[np.float32]:
+        """Poses of MuJoCo's bodies, positions and quaternions wxyz, [env, body, 7]; those that never move are where
+        MuJoCo has them, beside each environment's origin."""
+
+
+def held(plan: Plan, servos: dict[int, Servo], source: Source) -> Held:
     """Read it from the engine's tensors."""
     model = plan.model
     found = {name: array.copy() for name, array in as_mujoco_has_it(model).items()}
