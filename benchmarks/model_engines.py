@@ -48,7 +48,7 @@ ENGINES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
 N_ENV = 2
 _COMPARED = ("position", "orientation", "qpos")
 _EXPECTED = (
-    "option", "contact.solref", "contact.friction_combination", "contact.friction", "option.disableflags",
+    "option", "geoms.solref", "contact.friction_combination", "contact.friction", "option.disableflags",
     "option.tolerance",
 )  # fmt: skip
 """Deviations that every model has on an engine, or none that moves."""
