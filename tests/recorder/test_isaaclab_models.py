@@ -32,6 +32,8 @@ from tests.recorder.mixed_model import MIXED, drawn, scene_of, stepped
 # the engine's own, of its next release; mujoco's of numpy
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
 
+slow = pytest.mark.slow
+
 
 def _world(body: str, rest: str = "", option: str = 'timestep="0.005"') -> str:
     return f"<mujoco><option {option}/><worldbody>{body}</worldbody>{rest}</mujoco>"
@@ -134,9 +136,11 @@ HINGE = '<body name="r"><joint name="j" axis="0 0 1" {0}/><geom type="capsule" s
 @pytest.mark.parametrize(
     ("joint", "actuator", "wanted"),
     [
-        ('stiffness="5" damping="1" springref="40"', "", np.radians(40)),
+        pytest.param('stiffness="5" damping="1" springref="40"', "", np.radians(40), marks=slow),
         ('damping="1" stiffness="3" springref="30" ref="10"', '<position joint="j" kp="6"/>', None),
-        ('damping="1" stiffness="4"', '<motor joint="j" gear="3" forcerange="-.5 .5"/>', 1.5 / 4),
+        pytest.param(
+            'damping="1" stiffness="4"', '<motor joint="j" gear="3" forcerange="-.5 .5"/>', 1.5 / 4, marks=slow
+        ),
     ],
 )
 def test_where_drives_come_to_rest(joint: str, actuator: str, wanted: float | None, tmp_path: Path) -> None:
@@ -173,6 +177,7 @@ def test_what_may_touch(tmp_path: Path) -> None:
     )
 
 
+@slow
 def test_environments_in_one_place(tmp_path: Path) -> None:
     """Leave environments in one place to themselves: each has its robot, and they share what is fixed."""
     text = _world(

@@ -43,7 +43,8 @@ _LEVELS = {
 }
 
 _CONTACTS = partial(
-    "what PhysX keeps to itself of contacts, such as impulses, friction and the order of their solution"
+    "what PhysX keeps to itself of contacts, such as impulses, friction and the order of their solution, and of a "
+    "model file the last bits of the pose of a body on a free joint"
 )
 _CLAIMS = {
     "newton": StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE),
