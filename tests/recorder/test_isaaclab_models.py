@@ -157,6 +157,23 @@ def test_where_drives_come_to_rest(joint: str, actuator: str, wanted: float | No
         np.testing.assert_allclose(found["joints/qpos"][-1], wanted, atol=2e-3)
 
 
+def test_controls_that_end(tmp_path: Path) -> None:
+    """Give zeros after forces, and keep no force of an earlier step: a cart goes on at the speed that it has."""
+    text = _world(
+        '<body><joint name="x" type="slide" axis="1 0 0"/><geom size=".1" mass="2"/></body>',
+        '<actuator><motor joint="x" gear="4"/></actuator>',
+        'gravity="0 0 0"',
+    )
+    with _built(scene_of(text, tmp_path), n_env=2) as (simulator, _):
+        speeds = []
+        for controls in (np.array([1.0, 0.5]), np.zeros(2)):
+            simulator.prepare(np.tile(controls[:, None], (5, 1, 1)).astype(np.float32))
+            simulator.step(5)
+            speeds.append(simulator.state()[1][:, 0, 0])
+    np.testing.assert_allclose(speeds[0], [5 * 0.002 * 2, 5 * 0.002], rtol=1e-5)
+    np.testing.assert_allclose(speeds[1], speeds[0], rtol=1e-6)
+
+
 def test_what_may_touch(tmp_path: Path) -> None:
     """Rest on the plane that all environments share and on a table of their own, and keep apart what MuJoCo keeps
     apart, geom by geom; bodies without joints are no articulations there."""

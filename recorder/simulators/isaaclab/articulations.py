@@ -107,6 +107,14 @@ class ModelWorld(World):
 
     def prepare(self, controls: NDArray[np.float32]) -> None:
         """Take the controls of the next steps, [step, env, actuator]."""
+        self._take(controls, self._model.driven.uses)
+
+    def hold(self, controls: NDArray[np.float64]) -> None:
+        """Hold these controls, [env, actuator], until others are given."""
+        self._take(controls[None], frozenset(TARGETS))  # where no control acts, a target is where a spring rests
+        self._command()
+
+    def _take(self, controls: NDArray[np.floating], names: frozenset[str]) -> None:
         import torch
 
         self._given = [[] for _ in controls]
@@ -115,15 +123,11 @@ class ModelWorld(World):
             if not joints:
                 continue
             for name, values in driven.of(compiled, joints, controls).items():
-                moved = torch.as_tensor(values, device=self._device)
-                for step, given in enumerate(self._given):
-                    given.append((asset, _COMMANDS[name], moved[step]))
+                if name in names:
+                    moved = torch.as_tensor(values, device=self._device)
+                    for step, given in enumerate(self._given):
+                        given.append((asset, _COMMANDS[name], moved[step]))
         self._given.reverse()
-
-    def hold(self, controls: NDArray[np.float64]) -> None:
-        """Hold these controls, [env, actuator], until others are given."""
-        self.prepare(controls[None].astype(np.float32))
-        self._command()
 
     def _command(self) -> None:
         for asset, command, values in self._given.pop():
