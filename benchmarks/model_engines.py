@@ -39,6 +39,7 @@ ENGINES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
     "newton-featherstone": ("newton", {"solver": "featherstone"}, {}),
     "physx": ("physx", {"device": "cpu"}, {}),
     "physx-pgs": ("physx", {"device": "cpu", "solver": "PGS"}, {}),
+    "isaaclab": ("isaaclab", {"device": "cpu"}, {}),
     "genesis": ("genesis", {"device": "cpu"}, {}),
     "genesis-64": ("genesis", {"device": "cpu", "precision": "64"}, {}),
 }
@@ -47,7 +48,7 @@ ENGINES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
 N_ENV = 2
 _COMPARED = ("position", "orientation", "qpos")
 _EXPECTED = (
-    "option", "contact.solref", "contact.friction_combination", "contact.friction", "option.disableflags",
+    "option", "geoms.solref", "contact.friction_combination", "contact.friction", "option.disableflags",
     "option.tolerance",
 )  # fmt: skip
 """Deviations that every model has on an engine, or none that moves."""

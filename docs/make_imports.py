@@ -19,7 +19,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "how-to" / "what-the-importer-lost.md"
 BEGIN, END = "<!-- imports: docs/make_imports.py -->", "<!-- end of imports -->"
-ENGINES = ("warp", "mjx", "newton", "physx", "genesis")
+ENGINES = ("warp", "mjx", "newton", "physx", "isaaclab", "genesis")
 _NO_PGS = {"warp": "solver=Newton", "mjx": "solver=Newton", "newton": "mujoco_solver=Newton"}
 
 

@@ -126,7 +126,7 @@ def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
     with shielded():
         from gpusimbench.recorder.plan import check
         from gpusimbench.recorder.run import intervention, keep, start, vary
-        from gpusimbench.recorder.simulators.registry import find_simulator
+        from gpusimbench.recorder.simulators.registry import able, find_simulator
 
     check(configuration)
     simulator = configuration.simulator
@@ -140,7 +140,8 @@ def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
             f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}{hint}"
         )
     if refusal := adapter.refusal(simulator, scene, options):
-        raise UsageError(refusal)
+        others = "" if scene.needs() <= adapter.abilities else ", ".join(able(scene))
+        raise UsageError(f"{refusal}; simulators that can: {others}" if others else refusal)
     if scene.actions and (refusal := scene.actions.refusal(configuration)):
         raise UsageError(refusal)
     keep.check(configuration, scene)

@@ -13,6 +13,7 @@ from importlib.util import find_spec
 
 from gpusimbench.recorder.interruption import blocked
 from gpusimbench.recorder.plugins import in_words
+from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import REAL
@@ -233,3 +234,17 @@ def find_simulator(name: str) -> Entry:
             f"there is no simulator '{name}'; known: {', '.join(known)}, {REAL} (see gsb-record --list){hint}"
         )
     return known[name]
+
+
+def able(scene: Scene) -> tuple[str, ...]:
+    """Names of the simulators that have what a scene needs, with some of their options at least; engines need not be
+    installed. Those that cannot be loaded are left out."""
+    found = []
+    for name, entry in simulators().items():
+        try:
+            adapter = entry.adapter()
+        except UsageError:
+            continue
+        if scene.needs() <= adapter.abilities:
+            found.append(name)
+    return tuple(found)

@@ -224,7 +224,10 @@ def test_what_fits_nothing_is_listed(added: dict[str, str], gsb_record: Command)
 def test_what_does_not_fit_is_refused(
     added: dict[str, str], gsb_record: Command, tmp_path: Path, arguments: tuple[str, ...], message: str
 ) -> None:
-    """Say so in one sentence, and write nothing."""
+    """Say so in one sentence, with the simulators that can if there are any, and write nothing."""
     done = gsb_record(*arguments, "--out", tmp_path / "out", env=added, code=2)
-    assert done.stderr == f"gsb-record: {message}\n"
+    why, _, others = done.stderr.partition("; simulators that can: ")
+    assert why.rstrip("\n") == f"gsb-record: {message}"
+    assert done.stderr.count("\n") == 1
+    assert set(filter(None, others.strip().split(", "))) == (WITH_ROBOTS if "franka" in arguments else set())
     assert not (tmp_path / "out").exists()

@@ -267,10 +267,14 @@ def test_arguments_that_cannot_be(arguments: tuple[str, ...], said: str, tmp_pat
     assert not list(tmp_path.iterdir())
 
 
-def test_engines_that_take_no_models(tmp_path: Path) -> None:
-    """Name the ability that an engine lacks."""
-    done = call("gsb-record", "--sim", "sapien", "--model", WALKER, "--out", tmp_path, code=ExitCode.USAGE)
-    assert "simulator 'sapien' cannot simulate scene 'walker': it has no model files" in done.stderr
+@pytest.mark.parametrize("simulator", ["sapien", "brax"])
+def test_engines_that_take_no_models(simulator: str, tmp_path: Path) -> None:
+    """Name the ability that an engine lacks, and the simulators that have it."""
+    done = call("gsb-record", "--sim", simulator, "--model", WALKER, "--out", tmp_path, code=ExitCode.USAGE)
+    assert f"simulator '{simulator}' cannot simulate scene 'walker': it has no model files; " in done.stderr
+    others = done.stderr.partition("simulators that can: ")[2].strip().split(", ")
+    assert {"mujoco", "newton", "genesis", "physx", "isaaclab"} <= set(others)
+    assert not {"sapien", "brax", "maniskill", "calibration"} & set(others)
 
 
 @pytest.mark.parametrize(

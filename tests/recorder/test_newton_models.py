@@ -19,8 +19,10 @@ from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
 from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.newton.made import as_mujoco_has_it
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS
 from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.imported import PARAMETERS
 from gpusimbench.schemas.model_files import pack
 from tests.conftest import call
 from tests.recorder import engines
@@ -214,16 +216,24 @@ def _made(scene: ModelScene, solver: str) -> dict[str, tuple[str, str, str]]:
     return {d.parameter: (d.wanted, d.used, d.reason) for d in description.deviations}
 
 
+def test_names_of_quantities() -> None:
+    """Call what is compared as gsb-import calls it, so that deviations and its tables name a parameter alike."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    assert set(as_mujoco_has_it(model)) <= {f"{p.kind}.{p.name}" for p in PARAMETERS}
+
+
 @pytest.mark.slow
 def test_what_the_importer_loses() -> None:
     """Name what Newton's importer makes otherwise: masses that the compiler scales, a hinge's anchor, tiny inertias."""
     cheetah = _made(_scene(_gymnasium("half_cheetah")), "mujoco")
-    assert cheetah["body.mass"][0].startswith("torso 6.25")
-    assert cheetah["body.mass"][1].startswith("torso 9.45")
+    assert cheetah["bodies.mass"][0].startswith("torso 6.25")
+    assert cheetah["bodies.mass"][1].startswith("torso 9.45")
     hopper = _made(_scene(_gymnasium("hopper")), "mujoco")
-    assert hopper["joint.anchor"][:2] == ("rooty 0 0 0", "rooty 0 0 -1.25")
+    assert hopper["joints.anchor"][:2] == ("rooty 0 0 0", "rooty 0 0 -1.25")
     pusher = _made(_scene(_gymnasium("pusher")), "mujoco")
-    assert "object" in pusher["body.inertia"][0]
+    assert "object" in pusher["bodies.inertia"][0]
 
 
 FALLING = """
@@ -266,13 +276,13 @@ def test_what_a_solver_does_not_read(tmp_path: Path) -> None:
     world, compiled = _imported(scene, "xpbd")
     model = world.builder.finalize(device="cpu")
     found = {d.parameter: d for d in deviations_of_import(model, None, world.imported, compiled.model, "xpbd")}
-    assert (found["joint.damping"].wanted, found["joint.damping"].used) == ("slide 2", "slide 0")
-    assert found["joint.armature"].reason == "solver xpbd has no armature"
-    assert found["joint.frictionloss"].wanted == "hinge 0.1"
+    assert (found["joints.damping"].wanted, found["joints.damping"].used) == ("slide 2", "slide 0")
+    assert found["joints.armature"].reason == "solver xpbd has no armature"
+    assert found["joints.frictionloss"].wanted == "hinge 0.1"
     assert (found["held"].wanted, found["equality1"].wanted) == (
         "constraint of equality, joint", "constraint of equality, weld"
     )  # fmt: skip
-    assert "body.mass" not in found
+    assert "bodies.mass" not in found
     assert "integrator Euler" in found["option"].wanted
 
 

@@ -386,14 +386,14 @@ def test_the_walker() -> None:
 
 
 NAMED = {
-    "option.density": _world('<body><joint/><geom size=".1"/></body>', option='density="3"'),
-    "joint.solreflimit": _world('<body><joint range="-9 9"/><geom size=".1"/></body>'),
-    "joint.solreffriction": _world('<body><joint frictionloss="1"/><geom size=".1"/></body>'),
+    "model.density": _world('<body><joint/><geom size=".1"/></body>', option='density="3"'),
+    "joints.limit_solref": _world('<body><joint range="-9 9"/><geom size=".1"/></body>'),
+    "joints.solreffriction": _world('<body><joint frictionloss="1"/><geom size=".1"/></body>'),
     "bodies.added": _world('<body><joint/><joint axis="0 1 0"/><geom size=".1"/></body>'),
     "bodies.damping": _world('<body><joint type="free" damping="1"/><geom size=".1"/></body>'),
-    "body.gravcomp": _world('<body gravcomp=".5"><joint/><geom size=".1"/></body>'),
+    "bodies.gravity_compensation": _world('<body gravcomp=".5"><joint/><geom size=".1"/></body>'),
     "contact.condim": _world('<geom type="plane" size="1 1 1"/><body><freejoint/><geom size=".1" condim="6"/></body>'),
-    "contact.margin": _world('<geom type="plane" size="1 1 1"/><body><freejoint/><geom size=".1" margin=".1"/></body>'),
+    "geoms.margin": _world('<geom type="plane" size="1 1 1"/><body><freejoint/><geom size=".1" margin=".1"/></body>'),
     "bodies.massless": _world('<body><joint/><geom size=".1"/><body><geom size=".1" mass="0"/></body></body>'),
     "contact.pairs": _world(
         '<body><joint/><geom size=".1"/><body><joint/><geom size=".1"/></body></body>',

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Material, Plane
 from gpusimbench.recorder.scenes.emit.usd import emit_usd, identifiers
 from gpusimbench.recorder.scenes.franka import PANDA
 from gpusimbench.recorder.scenes.registry import SCENES, make_scene
+from gpusimbench.recorder.simulators.physx.model import Model
+from tests.recorder.mixed_model import scene_of as model_scene_of
 from tests.rotations import rotation
 
 NUMBER = st.floats(-1e6, 1e6, allow_subnormal=False)
@@ -199,3 +202,21 @@ def test_joints_and_drives() -> None:
     assert text.count("filteredPairs") == len(PANDA.apart)
     weld = prim(text, "/World/envs/env0/panda/link0_weld")
     assert not any("body0" in line for line in weld)  # to the world
+
+
+def test_a_model_for_isaac_lab(tmp_path: Path) -> None:
+    """Fix a tree to its environment, and not to a place in the world, where environments are copies in USD; and make no
+    articulation of a free body without joints."""
+    text = """<mujoco><worldbody>
+      <body name="arm" pos="0 0 1"><joint name="turn" axis="0 0 1"/><geom size=".1"/></body>
+      <body name="ball" pos="1 0 1"><freejoint/><geom size=".1"/></body>
+    </worldbody></mujoco>"""
+    model = Model(model_scene_of(text, tmp_path), dt=0.005)
+    plain, copied = (model.usd({}, spacing=4.0, isaac_lab=isaac_lab) for isaac_lab in (False, True))
+    (arm, ball) = model.plan.trees
+    assert (arm.is_a_body(), ball.is_a_body()) == (False, True)
+    assert plain.count("PhysicsArticulationRootAPI") == 2
+    assert copied.count("PhysicsArticulationRootAPI") == 1
+    assert f"rel physics:body0 = </World/envs/env0/{arm.prim}>" in copied
+    lost = [line for line in plain.splitlines() if line not in copied.splitlines()]
+    assert all("apiSchemas" in line for line in lost)  # all else is the same

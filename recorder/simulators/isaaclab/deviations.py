@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.isaaclab.scene import BODY_LIMITS
 from gpusimbench.recorder.simulators.physx.deviations import patch_friction
 from gpusimbench.schemas.provenance import Deviation
 
+_NOT_OF_MODELS = ("contact.restitution_combination", "contact.restitution", "angular_velocity.limit")
+"""Contacts of model files have no restitution, and their links may turn at any speed."""
+
 
 def deviations(scene: Scene, options: IsaacLabOptions) -> tuple[Deviation, ...]:
     """The parameters that the backend honours otherwise than the scene gives them, or not at all."""
-    return _newton(scene) if options.backend == "newton" else _physx(options)
+    if options.backend == "newton":
+        return _newton(scene)
+    found = _physx(options)
+    if isinstance(scene, ModelScene):
+        return tuple(deviation for deviation in found if deviation.parameter not in _NOT_OF_MODELS)
+    return found
 
 
 def _physx(options: IsaacLabOptions) -> tuple[Deviation, ...]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.engine_log import EngineLog
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -70,7 +71,7 @@ class Physx:
         if options.backend == "physx":
             settings["bounce_threshold_velocity"] = options.bounce_threshold
         if gpu:
-            self.buffers = _buffers(_measure(scene, dt=dt, seed=seed, options=options), n_env, self._class(), options)
+            self.buffers = _buffers(measured(scene, dt=dt, seed=seed, options=options), n_env, self._class(), options)
             settings |= {buffer.name: buffer.asked for buffer in self.buffers}
         self.cfg = self._class()(
             enable_enhanced_determinism=self._enhanced,
@@ -154,12 +155,14 @@ class Physx:
         self._log.close()
 
 
-def _measure(scene: Scene, *, dt: float, seed: int, options: IsaacLabOptions) -> Need:
+def measured(scene: Scene, *, dt: float, seed: int, options: IsaacLabOptions) -> Need:
+    """Count on MuJoCo C, whose shapes see each other from as far as PhysX's."""
     from gpusimbench.recorder.simulators.buffer_sizes import measure
     from gpusimbench.recorder.simulators.mujoco.model import compile_scene
     from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
-    compiled = compile_scene(scene, dt=dt, options=MjcfOptions())
+    own = parse_options("mujoco", MjcfOptions, scene.options({}, names_of(MjcfOptions)))
+    compiled = compile_scene(scene, dt=dt, options=own)
     compiled.model.geom_gap[:] = options.contact_offset  # of each shape of a pair
     bounded = compiled.model.geom_rbound > 0  # planes are not
     compiled.model.geom_rbound[bounded] += options.contact_offset

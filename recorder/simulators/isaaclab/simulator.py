@@ -17,13 +17,18 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
+from gpusimbench.recorder.simulators.physx.options import OF_MODELS
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.fields import StateField, body_fields
+from gpusimbench.schemas.imported import Imported
+from gpusimbench.schemas.provenance import Deviation
 
 _OLDEST = 3  # before it, quaternions were wxyz, and nothing ran without Isaac Sim
 _ROWS = 50
@@ -38,7 +43,8 @@ _LEVELS = {
 }
 
 _CONTACTS = partial(
-    "what PhysX keeps to itself of contacts, such as impulses, friction and the order of their solution"
+    "what PhysX keeps to itself of contacts, such as impulses, friction and the order of their solution, and of a "
+    "model file the last bits of the pose of a body on a free joint"
 )
 _CLAIMS = {
     "newton": StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE),
@@ -51,7 +57,7 @@ class IsaacLab(Simulator):
     """N environments of an InteractiveScene."""
 
     Options = IsaacLabOptions
-    abilities = BODIES - {Ability.TILTED_PLANES}  # environments beside each other share a plane
+    abilities = BODIES - {Ability.TILTED_PLANES} | {Ability.MODELS}  # environments beside each other share a plane
     timing_interval = 10  # Newton's steps are queued; synchronising after each would be charged to it
     determinism_levels = {
         "default": "as it ships, on any backend",
@@ -62,6 +68,17 @@ class IsaacLab(Simulator):
         "gpu-to-gpu": "backend newton: as run-to-run, with Warp's stricter order of atomic operations, meant to hold "
         "for every GPU",
     }
+
+    @classmethod
+    def parsed(cls, name: str, scene: Scene, given: Mapping[str, str]) -> Any:
+        """See Simulator.parsed: of a model's pair of geoms, friction is the larger one, as it is in MuJoCo."""
+        given = {option: value for option, value in given.items() if option not in scene.own_options}
+        return parse_options(name, cls.Options, {**OF_MODELS, **given} if isinstance(scene, ModelScene) else given)
+
+    @classmethod
+    def withheld(cls, options: Any) -> dict[Ability, str]:
+        """See Simulator.withheld."""
+        return {} if options.backend == "ovphysx" else {Ability.MODELS: "backend=ovphysx"}
 
     def build(self) -> Description:
         """See Simulator.build."""
@@ -82,19 +99,20 @@ class IsaacLab(Simulator):
             start_isaac_sim()
         self._device = warp_runtime.start(options.device)
         _without_pinned_memory()
-        from gpusimbench.recorder.simulators.isaaclab.deviations import deviations
-
         self._stepped = True  # what the last step showed has still to be asked for
         self._counted: Evidence | None = None
         self._ring: tuple[Any, Any] | None = None
         self._compiled = False
+        self._model: Any = None  # of a model file
+        if isinstance(self.scene, ModelScene):
+            from gpusimbench.recorder.simulators.physx.model import Model
+
+            self._model = Model(self.scene, dt=self.dt)
         self._physics = self._make_physics()
         self._world = self._make_world()
         self._physics.attach(self._world.sim, self._rows())
         self._made = 0  # steps
         self._first = self._kept()
-        places = {body.name: index for index, body in enumerate(self.scene.moving())}
-        self._groups = [np.array([places[name] for name in names]) for names in self.scene.groups().values()]
         origins = tuple((float(x), float(y), float(z)) for x, y, z in self._world.origins.tolist())
         return Description(
             version=version,
@@ -108,15 +126,28 @@ class IsaacLab(Simulator):
                 **self._physics.switches(),
                 "warnings": list(self._world.warnings),
             },
-            deviations=deviations(self.scene, options),
-            fields=self._fields(),
+            deviations=self._deviations(),
+            fields=self._world.fields(),
             timing_covers=self._covers(),
-            attachments={"scene.usda": ("model/vnd.usda", self._world.usda())},
+            attachments={
+                "scene.usda": ("model/vnd.usda", self._world.usda()),
+                **(self._model.compiled.attachments if self._model else {}),
+            },
             env_origins=origins if any(any(origin) for origin in origins) else (),
             buffers=self._physics.buffers,
             counters=self._physics.counters,
             overflow_bits=self._physics.overflow_bits,
         )
+
+    def _deviations(self) -> tuple[Deviation, ...]:
+        from gpusimbench.recorder.simulators.isaaclab.deviations import deviations
+
+        found = deviations(self.scene, self.options)
+        if self._model is None:
+            return found
+        from gpusimbench.recorder.simulators.isaaclab.model import as_physx
+
+        return (*found, *self._model.deviations(as_physx(self.options), gpu=self._device.is_cuda))
 
     def _option_names(self) -> tuple[str, ...]:
         sizes = ("max_contacts", "max_rows")  # said with the buffers
@@ -140,12 +171,16 @@ class IsaacLab(Simulator):
         return Physx(self.scene, gpu=self._device.is_cuda, **common)
 
     def _make_world(self) -> Any:
-        from gpusimbench.recorder.simulators.isaaclab.world import World
+        from gpusimbench.recorder.simulators.isaaclab.articulations import ModelWorld
+        from gpusimbench.recorder.simulators.isaaclab.bodies import BodyWorld
 
+        common: dict[str, Any] = {
+            "n_env": self.n_env, "dt": self.dt, "options": self.options, "device": str(self._device)
+        }  # fmt: skip
         try:
-            return World(
-                self.scene, self._physics, n_env=self.n_env, dt=self.dt, options=self.options, device=str(self._device)
-            )
+            if self._model is not None:
+                return ModelWorld(self._model, self._physics, **common)
+            return BodyWorld(self.scene, self._physics, **common)
         except (RuntimeError, ValueError, NotImplementedError) as error:
             raise self._refused(error) from None
 
@@ -157,14 +192,18 @@ class IsaacLab(Simulator):
         return Refused(f"Isaac Lab's backend '{self.options.backend}' refuses '{self.determinism}': {text}")
 
     def _rows(self) -> int:
-        return max(1, min(_ROWS, _ROW_BYTES // (_BODY * self.n_env * len(self.scene.moving()))))
-
-    def _fields(self) -> tuple[StateField, ...]:
-        notes = {"orientation": "reordered by the recorder from Isaac Lab's xyzw"}
-        return body_fields(self.scene.groups(), "float32", notes)
+        size = _BODY * self.n_env * len(self.scene.moving())
+        if self._model is not None:
+            size = 4 * self.n_env * (self._model.compiled.model.nq + self._model.compiled.model.nv)
+        return max(1, min(_ROWS, _ROW_BYTES // size))
 
     def _covers(self) -> str:
         loop = "SimulationContext.step(render=False) and RigidObjectCollection.update, step by step"
+        if self._model is not None:
+            loop = (
+                "Articulation.write_data_to_sim, with controls that are on the device, SimulationContext.step("
+                "render=False) and Articulation.update, step by step"
+            )
         end = "one synchronisation at the end; " if self._device.is_cuda else ""
         return f"{loop}; the latter derives accelerations, on the device; {end}no state is copied to the host"
 
@@ -190,6 +229,24 @@ class IsaacLab(Simulator):
                 torch.empty((rows, *self._world.state()[1].shape), device=str(self._device)),
             )
 
+    def prepare(self, actions: NDArray[np.float32] | None) -> None:
+        """See Simulator.prepare."""
+        if self._model is not None and actions is not None:
+            self._world.prepare(actions)
+
+    def hold(self, controls: NDArray[np.float64]) -> None:
+        """See Simulator.hold."""
+        self._world.hold(controls)
+
+    def imported(self) -> Imported | None:
+        """See Simulator.imported: PhysX's tensors of links and degrees of freedom."""
+        return None if self._model is None else self._model.imported(self.dt)
+
+    def link_poses(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """See Simulator.link_poses: where PhysX has the links."""
+        positions, orientations = self._model.link_poses()
+        return positions, orientations
+
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
         if not self._compiled:
@@ -209,7 +266,7 @@ class IsaacLab(Simulator):
     def state(self) -> States:
         """See Simulator.state."""
         poses, speeds = self._world.state()
-        return tuple(array[0] for array in self._split(poses[None].cpu().numpy(), speeds[None].cpu().numpy()))
+        return tuple(array[0] for array in self._world.split(poses[None].cpu().numpy(), speeds[None].cpu().numpy()))
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
@@ -226,20 +283,12 @@ class IsaacLab(Simulator):
                 poses[row].copy_(pose)
                 speeds[row].copy_(speed)
                 self._physics.store()
-            states.append(self._split(poses[:rows].cpu().numpy(), speeds[:rows].cpu().numpy()))
+            states.append(self._world.split(poses[:rows].cpu().numpy(), speeds[:rows].cpu().numpy()))
             evidence.append(self._physics.evidence(rows))
         self._made += n_step
         self._counted = _joined(evidence)
         self._stepped = False
         return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
-
-    def _split(self, poses: NDArray[np.float32], speeds: NDArray[np.float32]) -> States:
-        """Poses [step, env, body, 7] and speeds [step, env, body, 6] as copies, the arrays of the fields."""
-        arrays: list[NDArray[np.float32]] = []
-        for group in self._groups:
-            pose, speed = poses[:, :, group], speeds[:, :, group]
-            arrays += [pose[..., :3], pose[..., [6, 3, 4, 5]], speed[..., :3], speed[..., 3:]]
-        return tuple(arrays)
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:
@@ -261,10 +310,7 @@ class IsaacLab(Simulator):
     def set_state(self, states: States, envs: Envs = None) -> None:
         """See Simulator.set_state."""
         arrays = {name: array.copy() for name, array in picked(self._first, envs).items()}
-        for group, part in zip(self._groups, range(0, len(states), 4), strict=True):
-            position, orientation, linear, angular = states[part : part + 4]
-            arrays[_POSES][:, group] = np.concatenate([position, orientation[..., [1, 2, 3, 0]]], axis=-1)
-            arrays[_SPEEDS][:, group] = np.concatenate([linear, angular], axis=-1)
+        arrays[_POSES], arrays[_SPEEDS] = self._world.merged(states, arrays[_POSES], arrays[_SPEEDS])
         self._put(arrays, envs, 0)
 
     def _kept(self) -> dict[str, NDArray[Any]]:

@@ -25,12 +25,6 @@ _FRAMES = "Newton holds frames of joints; the kinematics compare them"
 _KINDS = "Newton holds other kinds of joints; the kinematics compare them"
 _MASKS = "Newton decides by groups of shapes; excludes and pairs are compared"
 _UNLIMITED = 1e6  # [N m or N] Newton's default stands for no limit
-_OF_NEWTON = {
-    "mass": "body.mass", "centre_of_mass": "body.centre_of_mass", "inertia": "body.inertia", "anchor": "joint.anchor",
-    "axis": "joint.axis", "range": "joint.range", "armature": "joint.armature", "damping": "joint.damping",
-    "frictionloss": "joint.frictionloss", "stiffness": "joint.stiffness",
-    "spring_reference": "joint.spring_reference",
-}  # fmt: skip
 _OF_DOFS = {"armature": "joint_armature", "damping": "joint_damping", "frictionloss": "joint_friction"}
 
 
@@ -91,12 +85,9 @@ def _of_newton(newton_model: Any, places: Places, model: Any, name: str) -> Impo
         **_lost(name),
     }  # fmt: skip
     for parameter in PARAMETERS:
-        quantity = _OF_NEWTON.get(parameter.name, "")
-        if parameter.kind not in order or not quantity.startswith(
-            {"bodies": "body", "joints": "joint"}[parameter.kind]
-        ):
+        rows = quantities.get(f"{parameter.kind}.{parameter.name}")
+        if rows is None:
             continue
-        rows = quantities[quantity]
         if parameter.name == "inertia":
             rows = np.array([of_mujoco.six(row.reshape(3, 3)) for row in rows])
         if parameter.kind == "bodies":

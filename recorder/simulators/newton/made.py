@@ -15,8 +15,8 @@ from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.text import few
 
 Quantities = dict[str, NDArray[np.float64]]
-"""Arrays by dotted name, "body.mass" or "joint.damping": a row for each body but the world, or for each joint that is
-not free, in MuJoCo's order."""
+"""Arrays by kind and name of a parameter (schemas.imported), "bodies.mass" or "joints.damping": a row for each body but
+the world, or for each joint that is not free, in MuJoCo's order."""
 
 UNREAD = {
     "xpbd": ("armature", "damping", "frictionloss", "stiffness"),
@@ -29,9 +29,8 @@ _UNLIMITED = 1e9  # beyond it, Newton's limits stand for none
 _RELATIVE, _ABSOLUTE = 5e-5, 1e-7  # of single precision, with which Newton computes all of this
 _SHOWN = 4  # items of a deviation
 
-_NUMBERS = (
-    "iterations", "ls_iterations", "tolerance", "impratio", "density", "viscosity", "wind", "magnetic", "gravity",
-)  # fmt: skip
+_OF_MODEL = ("density", "viscosity", "wind", "gravity")
+_OF_SOLVER = ("iterations", "ls_iterations", "tolerance", "impratio", "magnetic")
 _ACTUATOR = (
     "trntype", "dyntype", "gaintype", "biastype", "gear", "gainprm", "biasprm", "dynprm", "ctrllimited", "ctrlrange",
     "forcelimited", "forcerange", "actlimited", "actrange",
@@ -40,6 +39,14 @@ _GEOM = ("type", "size", "friction", "condim", "solref", "solimp", "margin", "ga
 _WRAP = ("type", "prm")
 _TENDON = ("num", "stiffness", "damping", "frictionloss", "limited", "range")
 _EQUALITY = ("type", "data", "solref", "solimp", "active0")
+
+_KINDS = {"actuator": "actuators", "tendon": "tendons", "eq": "equalities"}
+_NAMES = {
+    "gaintype": "gain_type", "gainprm": "gain", "biastype": "bias_type", "biasprm": "bias", "dyntype": "dynamics_type",
+    "dynprm": "dynamics", "ctrlrange": "control_range", "forcerange": "force_range", "actrange": "activation_range",
+    "active0": "active",
+}  # fmt: skip
+"""Kinds and parameters of schemas.imported by the words of MjModel's arrays, where they are others."""
 
 
 def as_mujoco_has_it(model: Any) -> Quantities:
@@ -51,17 +58,17 @@ def as_mujoco_has_it(model: Any) -> Quantities:
     inertia = np.einsum("bij,bj,bkj->bik", turned, model.body_inertia, turned)
     limited = np.asarray(model.jnt_limited[joints], dtype=bool)[:, None]
     return {
-        "body.mass": model.body_mass[1:, None].copy(),
-        "body.centre_of_mass": model.body_ipos[1:].copy(),
-        "body.inertia": inertia[1:].reshape(-1, 9),
-        "joint.anchor": np.where(_turning(model, joints), model.jnt_pos[joints], 0.0),
-        "joint.axis": np.where(_simple(model, joints), model.jnt_axis[joints], 0.0),
-        "joint.range": np.where(limited, model.jnt_range[joints], (-np.inf, np.inf)),
-        "joint.armature": model.dof_armature[dofs][:, None],
-        "joint.damping": model.dof_damping[dofs][:, None],
-        "joint.frictionloss": model.dof_frictionloss[dofs][:, None],
-        "joint.stiffness": model.jnt_stiffness[joints][:, None],
-        "joint.spring_reference": _springs(model, joints, model.qpos_spring[model.jnt_qposadr[joints]]),
+        "bodies.mass": model.body_mass[1:, None].copy(),
+        "bodies.centre_of_mass": model.body_ipos[1:].copy(),
+        "bodies.inertia": inertia[1:].reshape(-1, 9),
+        "joints.anchor": np.where(_turning(model, joints), model.jnt_pos[joints], 0.0),
+        "joints.axis": np.where(_simple(model, joints), model.jnt_axis[joints], 0.0),
+        "joints.range": np.where(limited, model.jnt_range[joints], (-np.inf, np.inf)),
+        "joints.armature": model.dof_armature[dofs][:, None],
+        "joints.damping": model.dof_damping[dofs][:, None],
+        "joints.frictionloss": model.dof_frictionloss[dofs][:, None],
+        "joints.stiffness": model.jnt_stiffness[joints][:, None],
+        "joints.spring_reference": _springs(model, joints, model.qpos_spring[model.jnt_qposadr[joints]]),
     }
 
 
@@ -80,20 +87,20 @@ def as_newton_has_it(newton_model: Any, imported: Imported, model: Any, solver: 
     balls = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_BALL
     limits = np.where((np.abs(limits) >= _UNLIMITED) | balls[:, None], (-np.inf, np.inf), limits + reference[:, None])
     found = {
-        "body.mass": newton_model.body_mass.numpy()[bodies][:, None],
-        "body.centre_of_mass": newton_model.body_com.numpy()[bodies],
-        "body.inertia": inertia,
-        "joint.anchor": np.where(_turning(model, joints), anchors, 0.0),
-        "joint.axis": np.where(_simple(model, joints), newton_model.joint_axis.numpy()[qd], 0.0),
-        "joint.range": limits,
-        "joint.armature": newton_model.joint_armature.numpy()[qd][:, None],
-        "joint.damping": newton_model.joint_damping.numpy()[qd][:, None],
-        "joint.frictionloss": newton_model.joint_friction.numpy()[qd][:, None],
-        "joint.stiffness": newton_model.joint_stiffness.numpy()[qd][:, None],
-        "joint.spring_reference": _springs(model, joints, newton_model.joint_rest_q.numpy()[q] + reference),
+        "bodies.mass": newton_model.body_mass.numpy()[bodies][:, None],
+        "bodies.centre_of_mass": newton_model.body_com.numpy()[bodies],
+        "bodies.inertia": inertia,
+        "joints.anchor": np.where(_turning(model, joints), anchors, 0.0),
+        "joints.axis": np.where(_simple(model, joints), newton_model.joint_axis.numpy()[qd], 0.0),
+        "joints.range": limits,
+        "joints.armature": newton_model.joint_armature.numpy()[qd][:, None],
+        "joints.damping": newton_model.joint_damping.numpy()[qd][:, None],
+        "joints.frictionloss": newton_model.joint_friction.numpy()[qd][:, None],
+        "joints.stiffness": newton_model.joint_stiffness.numpy()[qd][:, None],
+        "joints.spring_reference": _springs(model, joints, newton_model.joint_rest_q.numpy()[q] + reference),
     }
     for name in UNREAD.get(solver, ()):
-        found[f"joint.{name}"] = np.zeros_like(found[f"joint.{name}"])
+        found[f"joints.{name}"] = np.zeros_like(found[f"joints.{name}"])
     return {name: array.astype(np.float64) for name, array in found.items()}
 
 
@@ -105,7 +112,7 @@ def deviations_of_import(newton_model: Any, solver: Any, imported: Imported, mod
     """
     unread = UNREAD.get(name, ())
     wanted, found = as_mujoco_has_it(model), as_newton_has_it(newton_model, imported, model, name)
-    items = {"body": _bodies(model), "joint": [_joint(model, j) for j in _joints(model)]}
+    items = {"bodies": _bodies(model), "joints": [_joint(model, j) for j in _joints(model)]}
     said: list[Deviation] = []
     for quantity, array in wanted.items():
         kind, _, what = quantity.partition(".")
@@ -120,9 +127,10 @@ def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviatio
     """What SolverMuJoCo's own mujoco.MjModel has otherwise, beyond bodies and joints."""
     made = solver.mj_model
     reason = "so Newton's importer and SolverMuJoCo make it"
-    for option in _NUMBERS:
-        values = [np.atleast_1d(getattr(m.opt, option)).astype(float)[None] for m in (model, made)]
-        yield from different(f"option.{option}", [""], values, reason)
+    for kind, options in (("model", _OF_MODEL), ("option", _OF_SOLVER)):
+        for option in options:
+            values = [np.atleast_1d(getattr(m.opt, option)).astype(float)[None] for m in (model, made)]
+            yield from different(f"{kind}.{option}", [""], values, reason)
     for option, words in _words().items():
         said = [", ".join(w for w, at in words.items() if _has(m.opt, option, at)) or "none" for m in (model, made)]
         if said[0] != said[1]:
@@ -131,7 +139,7 @@ def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviatio
     yield from _table("actuator", _ACTUATOR, actuators, model, made, reason)
     places = solver.mjc_jnt_to_newton_dof.numpy()[0]
     targets = [_target(m, at) for m, at in ((model, imported.at_qd), (made, places))]
-    yield from different("actuator.target", actuators, [t[:, None] for t in targets], reason)
+    yield from different("actuators.target", actuators, [t[:, None] for t in targets], reason)
     tendons = [model.tendon(t).name or f"tendon{t}" for t in range(model.ntendon)]
     yield from _table("tendon", _TENDON, tendons, model, made, reason)
     if model.nwrap == made.nwrap:
@@ -196,7 +204,7 @@ def _not_of_others(model: Any, name: str) -> Iterator[Deviation]:
     fluid = {key: getattr(model.opt, key) for key in ("density", "viscosity")}
     for key, value in fluid.items():
         if value:
-            yield Deviation(f"option.{key}", f"{value:g}", "0", f"solver {name} has no forces of a medium")
+            yield Deviation(f"model.{key}", f"{value:g}", "0", f"solver {name} has no forces of a medium")
     for t in range(model.ntendon):
         words = ("stiffness", "damping", "frictionloss", "limited")
         if has := [w for w in words if np.any(getattr(model, f"tendon_{w}")[t])]:
@@ -208,12 +216,15 @@ def _not_of_others(model: Any, name: str) -> Iterator[Deviation]:
         yield Deviation(label, f"constraint of equality, {kind}", "none", f"solver {name} is given none of MuJoCo's")
     if np.any(model.body_gravcomp):
         yield Deviation(
-            "body.gravcomp", few(_bodies(model), _SHOWN), "0", f"solver {name} has no compensation of gravity"
+            "bodies.gravity_compensation",
+            few(_bodies(model), _SHOWN),
+            "0",
+            f"solver {name} has no compensation of gravity",
         )
     if np.any(model.jnt_actfrclimited):
-        yield Deviation("joint.actuatorfrcrange", "limited", "unlimited", f"solver {name} does not limit drives")
+        yield Deviation("joints.force_range", "limited", "unlimited", f"solver {name} does not limit drives")
     yield Deviation(
-        "contact.solref", "of each geom", "ke and kd of each shape, where the solver has them",
+        "geoms.solref", "of each geom", "ke and kd of each shape, where the solver has them",
         f"solver {name} has contacts of its own: no solimp, condim, margin or priority",
     )  # fmt: skip
 
@@ -223,12 +234,12 @@ def _table(
 ) -> Iterator[Deviation]:
     wanted, used = (len(getattr(m, f"{kind}_{names[0]}")) for m in (model, made))
     if wanted != used:
-        yield Deviation(f"{kind}.count", str(wanted), str(used), reason)
+        yield Deviation(f"{_KINDS.get(kind, kind)}.count", str(wanted), str(used), reason)
     if wanted != used or not wanted:
         return
     for name in names:
         rows = [np.asarray(getattr(m, f"{kind}_{name}"), dtype=float).reshape(wanted, -1) for m in (model, made)]
-        yield from different(f"{kind}.{name}", items, rows, reason)
+        yield from different(f"{_KINDS.get(kind, kind)}.{_NAMES.get(name, name)}", items, rows, reason)
 
 
 def different(parameter: str, items: list[str], arrays: Sequence[NDArray[Any]], reason: str) -> Iterator[Deviation]:

@@ -115,10 +115,7 @@ class Articulations:
         MuJoCo has them, beside each environment's origin."""
         import warp as wp
 
-        data = self._compiled.data()
-        still = np.concatenate([data.xpos, data.xquat], axis=1).astype(np.float32)
-        found = np.tile(still, (self._n_env, 1, 1))
-        found[..., :3] += self._origins[:, None]
+        found = reference_poses(self._compiled, self._origins)
         for tree, roots in zip(self._plan.trees, self._roots, strict=True):
             binding = self._tensor(tree, "LINK_POSE")
             array = wp.empty(binding.shape, dtype=wp.float32, device=self._device)
@@ -175,12 +172,7 @@ class Articulations:
 
     def first(self) -> dict[str, NDArray[Any]]:
         """The first state, as `kept` returns it."""
-        positions = np.tile(self.layout.joint_q, (self._n_env, 1)).astype(np.float32)
-        velocities = np.tile(self.layout.joint_qd, (self._n_env, 1)).astype(np.float32)
-        for tree in self._plan.trees:
-            if tree.free >= 0:
-                at = int(self._compiled.model.jnt_qposadr[tree.free])
-                positions[:, at : at + 3] += self._origins
+        positions, velocities = first_state(self._plan, self.layout, self._origins)
         return {_POSITIONS: positions, _VELOCITIES: velocities}
 
     def kept(self) -> dict[str, NDArray[Any]]:
@@ -305,6 +297,30 @@ def layout_of(compiled: MjcfModel) -> ModelLayout:
     blank = ModelLayout(tuple(parts), np.zeros(model.nq), np.zeros(model.nv))
     positions, velocities = blank.joined(compiled.split(compiled.qpos0[None], compiled.qvel0[None]))
     return ModelLayout(tuple(parts), positions[0], velocities[0])
+
+
+def first_state(
+    plan: Plan, layout: ModelLayout, origins: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Positions [env, nq] and velocities [env, nv] in the model's first state, as of `layout_of`, where environments
+    are beside each other; origins are theirs, [env, 3]."""
+    positions, velocities = (
+        np.tile(numbers, (len(origins), 1)).astype(np.float32) for numbers in (layout.joint_q, layout.joint_qd)
+    )
+    for tree in plan.trees:
+        if tree.free >= 0:
+            at = int(plan.model.jnt_qposadr[tree.free])
+            positions[:, at : at + 3] += origins
+    return positions, velocities
+
+
+def reference_poses(compiled: MjcfModel, origins: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Poses of MuJoCo's bodies in the reference state, positions and quaternions wxyz, [env, body, 7], beside each
+    environment's origin, [env, 3]."""
+    data = compiled.data()
+    found = np.tile(np.concatenate([data.xpos, data.xquat], axis=1).astype(np.float32), (len(origins), 1, 1))
+    found[..., :3] += origins[:, None]
+    return found
 
 
 def scene_body(model: Any, name: str) -> int:

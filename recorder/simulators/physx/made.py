@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.model.contents import solver_options
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
 from gpusimbench.recorder.simulators.newton.made import Quantities, as_mujoco_has_it, different
-from gpusimbench.recorder.simulators.physx.articulations import Articulations
 from gpusimbench.recorder.simulators.physx.contacts import apart, friction_of, frictions, may_touch
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
 from gpusimbench.recorder.simulators.physx.servos import Servo
 from gpusimbench.recorder.simulators.physx.stage import FAR
-from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Plan, collides
+from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Plan, Tree, collides
 from gpusimbench.schemas.imported import PARAMETERS, Imported, Values
 from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.text import few
@@ -28,13 +28,6 @@ _HELD = "so PhysX holds it"
 _NAMED = 4  # in a deviation
 _HULL = 64  # corners of a convex hull, at most
 
-_OF_PHYSX = {
-    "bodies": {"mass": "body.mass", "centre_of_mass": "body.centre_of_mass", "inertia": "body.inertia"},
-    "joints": {
-        "range": "joint.range", "stiffness": "joint.stiffness", "damping": "joint.damping",
-        "armature": "joint.armature", "frictionloss": "joint.frictionloss",
-    },
-}  # fmt: skip
 _COMBINED: dict[str, Callable[[float, float], float]] = {
     "max": max,
     "min": min,
@@ -61,7 +54,19 @@ class Held:
     added: dict[str, float]
 
 
-def held(plan: Plan, servos: dict[int, Servo], source: Articulations) -> Held:
+class Source(Protocol):
+    """The articulations of all environments, as the engine has them."""
+
+    def held(self, tree: Tree, name: str) -> tuple[Sequence[str], Sequence[str], NDArray[np.float32]]:
+        """What PhysX holds of a tree in environment 0, by the name of a tensor (ovphysx.types.TensorType without
+        ARTICULATION_): names of its links, names of its joints, and the rows."""
+
+    def link_poses(self) -> NDArray[np.float32]:
+        """Poses of MuJoCo's bodies, positions and quaternions wxyz, [env, body, 7]; those that never move are where
+        MuJoCo has them, beside each environment's origin."""
+
+
+def held(plan: Plan, servos: dict[int, Servo], source: Source) -> Held:
     """Read it from the engine's tensors."""
     model = plan.model
     found = {name: array.copy() for name, array in as_mujoco_has_it(model).items()}
@@ -76,9 +81,9 @@ def held(plan: Plan, servos: dict[int, Servo], source: Articulations) -> Held:
             if body < 0:
                 added |= {name: mass} if links[name].parent >= 0 else {}  # the first is fixed to the world
                 continue
-            found["body.mass"][body - 1] = mass
-            found["body.centre_of_mass"][body - 1] = read["COM_POSE"][2][number, :3]
-            found["body.inertia"][body - 1] = read["INERTIA"][2][number]
+            found["bodies.mass"][body - 1] = mass
+            found["bodies.centre_of_mass"][body - 1] = read["COM_POSE"][2][number, :3]
+            found["bodies.inertia"][body - 1] = read["INERTIA"][2][number]
         if not tree.joints():
             continue
         of = {plan.joint_prims[joint]: joint for joint in tree.joints()}
@@ -89,12 +94,14 @@ def held(plan: Plan, servos: dict[int, Servo], source: Articulations) -> Held:
             row = joints.index(joint)
             limits = tensors["LIMIT"][2][number].astype(np.float64)
             reference = model.qpos0[model.jnt_qposadr[joint]]
-            found["joint.range"][row] = np.where(np.abs(limits) >= FAR, np.copysign(np.inf, limits), limits + reference)
-            found["joint.armature"][row] = tensors["ARMATURE"][2][number]
-            found["joint.frictionloss"][row] = tensors["FRICTION_PROPERTIES"][2][number, 0]
-            found["joint.stiffness"][row] = tensors["STIFFNESS"][2][number] - servo.kp
-            found["joint.damping"][row] = tensors["DAMPING"][2][number] - servo.kv - servo.hold
-    for name in ("joint.anchor", "joint.axis", "joint.spring_reference"):
+            found["joints.range"][row] = np.where(
+                np.abs(limits) >= FAR, np.copysign(np.inf, limits), limits + reference
+            )
+            found["joints.armature"][row] = tensors["ARMATURE"][2][number]
+            found["joints.frictionloss"][row] = tensors["FRICTION_PROPERTIES"][2][number, 0]
+            found["joints.stiffness"][row] = tensors["STIFFNESS"][2][number] - servo.kp
+            found["joints.damping"][row] = tensors["DAMPING"][2][number] - servo.kv - servo.hold
+    for name in ("joints.anchor", "joints.axis", "joints.spring_reference"):
         del found[name]
     return Held(found, added)
 
@@ -105,8 +112,8 @@ def deviations_of_model(plan: Plan, known: Held, options: PhysxOptions, *, file:
     model = plan.model
     wanted = as_mujoco_has_it(model)
     names = {
-        "body": [model.body(b).name or f"body{b}" for b in range(1, model.nbody)],
-        "joint": [
+        "bodies": [model.body(b).name or f"body{b}" for b in range(1, model.nbody)],
+        "joints": [
             model.joint(j).name or f"joint{j}"
             for j in range(model.njnt) if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_FREE
         ],
@@ -134,12 +141,12 @@ def _of_added(known: Held, plan: Plan, file: str) -> Iterator[Deviation]:
 def _of_joints(model: Any) -> Iterator[Deviation]:
     if np.any(model.jnt_limited):
         yield Deviation(
-            "joint.solreflimit", "of each limit", "none: a joint never passes its limit",
+            "joints.limit_solref", "of each limit", "none: a joint never passes its limit",
             "PhysX's limits are not soft; a joint that begins beyond its limit is put back in the first step",
         )  # fmt: skip
     if np.any(model.dof_frictionloss):
         yield Deviation(
-            "joint.solreffriction", "of each joint", "none: friction holds a joint up to its effort",
+            "joints.solreffriction", "of each joint", "none: friction holds a joint up to its effort",
             "PhysX's friction of joints is not soft",
         )  # fmt: skip
     free = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
@@ -158,7 +165,7 @@ def _of_contacts(plan: Plan, options: PhysxOptions, *, gpu: bool) -> Iterator[De
     if not pairs:
         return
     yield Deviation(
-        "contact.solref", "of each geom", "rigid contacts",
+        "geoms.solref", "of each geom", "rigid contacts",
         "PhysX's contacts have no solref, solimp, condim or priority, and MuJoCo's no restitution, which is 0 here",
     )  # fmt: skip
     of_a_pair, given = {}, frictions(model)
@@ -179,7 +186,7 @@ def _of_contacts(plan: Plan, options: PhysxOptions, *, gpu: bool) -> Iterator[De
         )  # fmt: skip
     if apart_by := [names[g] for g in shapes if model.geom_margin[g]]:
         yield Deviation(
-            "contact.margin", f"of {few(apart_by, _NAMED)}", "0", "contacts of PhysX begin where shapes touch"
+            "geoms.margin", f"of {few(apart_by, _NAMED)}", "0", "contacts of PhysX begin where shapes touch"
         )
     if lost := apart(plan).lost:
         bodies = [model.body(b).name or f"body{b}" for b in range(model.nbody)]
@@ -204,14 +211,16 @@ def _of_the_rest(model: Any) -> Iterator[Deviation]:
     )  # fmt: skip
     for key in ("density", "viscosity"):
         if value := getattr(model.opt, key):
-            yield Deviation(f"option.{key}", f"{value:g}", "0", "PhysX has no forces of a medium")
+            yield Deviation(f"model.{key}", f"{value:g}", "0", "PhysX has no forces of a medium")
     flags = int(model.opt.disableflags)
     off = [name.lower() for name in _OFF if flags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0))]
     if off:
         yield Deviation("option.disableflags", f"without {', '.join(off)}", "with it", "PhysX is given no such flag")
     against = model.body_gravcomp
     if partly := [model.body(b).name or f"body{b}" for b in range(1, model.nbody) if against[b] not in (0, 1)]:
-        yield Deviation("body.gravcomp", few(partly, _NAMED), "0", "gravity acts on a link of PhysX, or does not")
+        yield Deviation(
+            "bodies.gravity_compensation", few(partly, _NAMED), "0", "gravity acts on a link of PhysX, or does not"
+        )
     massless = [
         model.body(b).name or f"body{b}"
         for b in range(1, model.nbody) if model.body_weldid[b] and not model.body_mass[b]
@@ -233,10 +242,9 @@ def imported_of(plan: Plan, known: Held, *, dt: float) -> Imported:
     }  # fmt: skip
     values: dict[str, Values] = {"model/timestep": np.array([[dt]])}
     for parameter in PARAMETERS:
-        quantity = _OF_PHYSX.get(parameter.kind, {}).get(parameter.name)
-        if quantity is None:
+        rows = known.quantities.get(f"{parameter.kind}.{parameter.name}")
+        if rows is None:
             continue
-        rows = known.quantities[quantity]
         if parameter.name == "inertia":
             rows = np.array([of_mujoco.six(row.reshape(3, 3)) for row in rows])
         whole = np.full((len(names[parameter.kind]), rows.shape[1]), np.nan)

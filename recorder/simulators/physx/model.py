@@ -17,11 +17,11 @@ from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.physx.articulations import Articulations
-from gpusimbench.recorder.simulators.physx.made import Held, deviations_of_model, held, imported_of
+from gpusimbench.recorder.simulators.physx.made import Held, Source, deviations_of_model, held, imported_of
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
 from gpusimbench.recorder.simulators.physx.servos import Driven
 from gpusimbench.recorder.simulators.physx.session import Session
-from gpusimbench.recorder.simulators.physx.stage import emit_model
+from gpusimbench.recorder.simulators.physx.stage import emit_model, vector
 from gpusimbench.recorder.simulators.physx.trees import plan
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
@@ -43,19 +43,30 @@ class Model:
         self._file = scene.file
         self.driven = Driven(self.compiled.model, "PhysX", "other engines take such models")
 
-    def usd(self, apis: Apis, *, spacing: float) -> str:
-        """One environment; apis and spacing as of stage.emit_model."""
+    @property
+    def gravity(self) -> Vector:
+        """That acts [m/s^2]: none where the model's flags switch it off."""
         options = self.compiled.model.opt
         off = int(options.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-        x, y, z = (0.0, 0.0, 0.0) if off else map(float, options.gravity)
-        return emit_model(self.plan, self.driven.servos, gravity=(x, y, z), apis=apis, spacing=spacing)
+        return (0.0, 0.0, 0.0) if off else vector(options.gravity)
+
+    def usd(self, apis: Apis, *, spacing: float, isaac_lab: bool = False) -> str:
+        """One environment; apis, spacing and isaac_lab as of stage.emit_model."""
+        return emit_model(
+            self.plan, self.driven.servos, gravity=self.gravity, apis=apis, spacing=spacing, isaac_lab=isaac_lab
+        )
 
     def articulations(self, session: Session, *, n_env: int, origins: Sequence[Vector], device: Any) -> Articulations:
         """All environments, once they are in the session."""
-        self._source = Articulations(
+        found = Articulations(
             session, self.plan, self.compiled, self.driven, n_env=n_env, origins=origins, device=device
         )
-        return self._source
+        self.attach(found)
+        return found
+
+    def attach(self, source: Source) -> None:
+        """Ask this from now on what the engine holds."""
+        self._source = source
 
     def deviations(self, options: PhysxOptions, *, gpu: bool) -> list[Deviation]:
         """What PhysX has otherwise, once it has all environments."""

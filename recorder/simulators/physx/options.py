@@ -11,6 +11,9 @@ from gpusimbench.recorder.simulators.mujoco.options import one_of
 SOLVERS = ("TGS", "PGS")
 COMBINE_MODES = ("average", "min", "max", "multiply")
 
+OF_MODELS = {"friction_combine": "max"}
+"""Options where a model file is simulated and the user says nothing."""
+
 OF_THE_GPU = (
     "max_contacts", "max_patches", "max_pairs", "max_aggregate_pairs", "collision_stack", "heap", "temp_buffer",
 )  # fmt: skip

@@ -25,14 +25,13 @@ from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.physx import grid
 from gpusimbench.recorder.simulators.physx.deviations import deviations
-from gpusimbench.recorder.simulators.physx.options import OF_THE_GPU, PhysxOptions, apis, broad_phase
+from gpusimbench.recorder.simulators.physx.options import OF_MODELS, OF_THE_GPU, PhysxOptions, apis, broad_phase
 from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer
 
-_OF_MODELS = {"friction_combine": "max"}  # options where a model is simulated and the user says nothing
 _RING_ROWS = 50
 _RING_BYTES = 512 << 20
 
@@ -55,7 +54,7 @@ class Physx(Simulator):
     def parsed(cls, name: str, scene: Scene, given: Mapping[str, str]) -> Any:
         """See Simulator.parsed: of a model's pair of geoms, friction is the larger one, as it is in MuJoCo."""
         given = {option: value for option, value in given.items() if option not in scene.own_options}
-        return parse_options(name, cls.Options, {**_OF_MODELS, **given} if isinstance(scene, ModelScene) else given)
+        return parse_options(name, cls.Options, {**OF_MODELS, **given} if isinstance(scene, ModelScene) else given)
 
     @classmethod
     def withheld(cls, options: Any) -> dict[Ability, str]:

@@ -41,23 +41,28 @@ _SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
 _NONE = math.inf
 
 
-def emit_model(plan: Plan, servos: Mapping[int, Servo], *, gravity: Vector, apis: Apis, spacing: float) -> str:
+def emit_model(
+    plan: Plan, servos: Mapping[int, Servo], *, gravity: Vector, apis: Apis, spacing: float, isaac_lab: bool = False
+) -> str:
     """The text of a stage with one environment, in the reference state; its prims are those of the plan.
 
     servos   by MuJoCo's joint, the drive of each hinge and slide
     gravity  [m/s^2]
     apis     as of scenes.emit.usd.emit_usd
     spacing  of environments [m]; 0: all that is fixed serves all of them
+    isaac_lab  whether Isaac Lab takes it. Its environments are copies in USD: what is fixed to the world is fixed to
+               its environment's prim, and not at a place in the world, which would be the same for all copies. Its
+               articulations have joints: a free body without them is none
 
     Refused where environments beside each other would share a plane that is not level.
     """
-    return _Writer(plan, servos, apis, spacing).text(gravity)
+    return _Writer(plan, servos, apis, spacing, isaac_lab).text(gravity)
 
 
 class _Writer:
-    def __init__(self, plan: Plan, servos: Mapping[int, Servo], apis: Apis, spacing: float) -> None:
+    def __init__(self, plan: Plan, servos: Mapping[int, Servo], apis: Apis, spacing: float, isaac_lab: bool) -> None:
         self._plan, self._model, self._servos, self._apis = plan, plan.model, servos, apis
-        self._spacing = spacing
+        self._spacing, self._isaac_lab = spacing, isaac_lab
         self._data = mujoco.MjData(plan.model)
         mujoco.mj_kinematics(plan.model, self._data)  # of the reference state
         self._friction = frictions(plan.model)
@@ -101,7 +106,7 @@ class _Writer:
         prim = Prim("Xform", tree.prim)
         for number, link in enumerate(tree.links):
             child = prim.add(self._link(link))
-            if number == 0:
+            if number == 0 and not (self._isaac_lab and tree.is_a_body()):
                 (child if tree.free >= 0 else prim).apis.insert(0, "PhysicsArticulationRootAPI")
                 (child if tree.free >= 0 else prim).apply(self._apis, "PhysxArticulationAPI")
             if number or tree.free < 0:
@@ -190,6 +195,8 @@ class _Writer:
             prim = self._hinge_or_slide(joint)
         if link.parent >= 0:
             prim.properties.append(f"rel physics:body0 = <{above}/{tree.links[link.parent].prim}>")
+        elif self._isaac_lab:
+            prim.properties.append(f"rel physics:body0 = <{above}>")
         if link.parent < 0:
             outer, turn = self._data.xpos[link.frame], self._data.xquat[link.frame]
         elif link.within:

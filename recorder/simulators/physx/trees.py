@@ -58,6 +58,10 @@ class Tree:
     free: int
     links: tuple[Link, ...]
 
+    def is_a_body(self) -> bool:
+        """Whether it is a free body, to which nothing is joined."""
+        return len(self.links) == 1
+
     def joints(self) -> tuple[int, ...]:
         """MuJoCo's hinges and slides, in the order of the links."""
         return tuple(link.joint for link in self.links if link.joint >= 0)

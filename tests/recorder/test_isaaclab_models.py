@@ -1,0 +1,266 @@
+"""Model files on Isaac Lab: kinematics, accelerations, drives and contacts against MuJoCo's, on PhysX and on the CPU.
+
+What of a model PhysX is given, and what it refuses, tests/recorder/test_physx_models.py has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("isaaclab")
+pytest.importorskip("ovphysx")
+
+from gpusimbench.evaluator.imports.parameters import compare
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.run.import_phase import tried
+from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.isaaclab.physx import measured
+from gpusimbench.recorder.simulators.mujoco.imported import of_c
+from gpusimbench.schemas.errors import UsageError
+from tests.recorder import engines
+from tests.recorder.mixed_model import MIXED, drawn, scene_of, stepped
+
+# the engine's own, of its next release; mujoco's of numpy
+pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
+
+slow = pytest.mark.slow
+
+
+def _world(body: str, rest: str = "", option: str = 'timestep="0.005"') -> str:
+    return f"<mujoco><option {option}/><worldbody>{body}</worldbody>{rest}</mujoco>"
+
+
+@contextmanager
+def _built(scene: ModelScene, **options: Any) -> Iterator[tuple[Any, Description]]:
+    simulator = engines.make("isaaclab", scene, **options)
+    try:
+        yield simulator, simulator.build()
+    finally:
+        simulator.close()
+
+
+def _both(scene: ModelScene, steps: int, **options: Any) -> tuple[Any, Any]:
+    """Fields by name over some steps, of Isaac Lab and of MuJoCo C, under the same controls; positions are relative to
+    the environment's origin."""
+    with _built(scene, **options) as (simulator, description):
+        found = stepped(simulator, description, steps)
+        if "bodies/position" in found and description.env_origins:
+            found["bodies/position"] = found["bodies/position"] - np.array(description.env_origins)[:, None]
+    other, description = engines.build("mujoco", scene)
+    wanted = stepped(other, description, steps)
+    other.close()
+    return found, wanted
+
+
+def test_kinematics_and_states(tmp_path: Path) -> None:
+    """Put the bodies of random states where MuJoCo puts them, in every environment, also those of a tree that is fixed
+    to the world; read the states back; reset one environment and leave the others as they are; go on from a
+    snapshot."""
+    with _built(scene_of(MIXED, tmp_path, actions="none"), n_env=3) as (simulator, description):
+        model = simulator._model.compiled.model
+        first = simulator.state()
+        origins = np.array(description.env_origins)[:, None]
+        for seed in range(2):
+            states, (qpos, _) = drawn(simulator._model.compiled, simulator.n_env, seed)
+            given = tuple(
+                a + origins if f.field == "position" else a for f, a in zip(description.fields, states, strict=True)
+            )
+            simulator.set_state(given)
+            for field, a, b in zip(description.fields, simulator.state(), given, strict=True):
+                np.testing.assert_allclose(a, b, atol=2e-6, err_msg=field.name)
+            positions, orientations = simulator.link_poses()
+            for env, row in enumerate(qpos):
+                data = mujoco.MjData(model)
+                data.qpos[:] = row
+                mujoco.mj_kinematics(model, data)
+                place = positions[env, : model.nbody] - origins[env]
+                np.testing.assert_allclose(place, data.xpos, atol=5e-6)
+                turned = np.abs(np.sum(orientations[env, : model.nbody] * data.xquat, axis=1))
+                np.testing.assert_allclose(turned, 1, atol=1e-6)
+        simulator.reset()
+        simulator.step(3)
+        saved = simulator.snapshot()
+        after = simulator.states(3)
+        simulator.restore(saved)
+        for a, b in zip(after, simulator.states(3), strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-6)
+        before = simulator.state()
+        simulator.reset(np.array([1]))
+        for field, was, now, begun in zip(description.fields, before, simulator.state(), first, strict=True):
+            assert now[[0, 2]].tobytes() == was[[0, 2]].tobytes(), field.name
+            np.testing.assert_allclose(now[1], begun[1], atol=1e-6, err_msg=field.name)
+
+
+def test_accelerations(tmp_path: Path) -> None:
+    """Make the step of MuJoCo from random states: masses, inertias, gravity, armature, damping, motors of joints and of
+    a tendon, clamped controls and forces, and servos, in floating and fixed trees."""
+    scene = scene_of(MIXED, tmp_path)
+    assert scene.actions is not None
+    with _built(scene, n_env=4, contact_offset=1e-4, position_iterations=1) as (simulator, description):
+        compiled = simulator._model.compiled
+        origins = np.array(description.env_origins)[:, None]
+        for seed in range(2):
+            states, (qpos, qvel) = drawn(compiled, simulator.n_env, seed)
+            simulator.set_state(
+                tuple(
+                    a + origins if f.field == "position" else a for f, a in zip(description.fields, states, strict=True)
+                )
+            )
+            controls = scene.actions.draw(seed, n_env=4, first_step=0, n_step=1)
+            simulator.prepare(controls)
+            simulator.step(1)
+            after = dict(zip((f.name for f in description.fields), simulator.state(), strict=True))
+            for env in range(4):
+                data = mujoco.MjData(compiled.model)
+                data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[env], qvel[env], controls[0, env]
+                mujoco.mj_step(compiled.model, data)
+                wanted = dict(zip(after, compiled.split(data.qpos[None], data.qvel[None]), strict=True))
+                change = np.abs(data.qvel - qvel[env]).max()
+                assert change > 0.01
+                for name in ("joints/qvel", "bodies/linear_velocity", "bodies/angular_velocity"):
+                    np.testing.assert_allclose(after[name][env], wanted[name][0], atol=2e-3 * change, err_msg=name)
+
+
+HINGE = '<body name="r"><joint name="j" axis="0 0 1" {0}/><geom type="capsule" size=".1 .2" mass="1"/></body>'
+
+
+@pytest.mark.parametrize(
+    ("joint", "actuator", "wanted"),
+    [
+        pytest.param('stiffness="5" damping="1" springref="40"', "", np.radians(40), marks=slow),
+        ('damping="1" stiffness="3" springref="30" ref="10"', '<position joint="j" kp="6"/>', None),
+        pytest.param(
+            'damping="1" stiffness="4"', '<motor joint="j" gear="3" forcerange="-.5 .5"/>', 1.5 / 4, marks=slow
+        ),
+    ],
+)
+def test_where_drives_come_to_rest(joint: str, actuator: str, wanted: float | None, tmp_path: Path) -> None:
+    """Rest where springs, servos and clamped motors balance, as in MuJoCo: Isaac Lab's commands leave no spring out."""
+    key = '<keyframe><key ctrl="0.8"/></keyframe>' if actuator else ""
+    text = _world(
+        HINGE.format(joint),
+        f"<actuator>{actuator}</actuator>{key}",
+        'gravity="0 0 0" timestep="0.01" integrator="implicitfast"',
+    )
+    found, other = _both(scene_of(text, tmp_path, actions="keyframe" if actuator else "none"), 400)
+    np.testing.assert_allclose(found["joints/qpos"][-1], other["joints/qpos"][-1], atol=2e-3)
+    if wanted is not None:
+        np.testing.assert_allclose(found["joints/qpos"][-1], wanted, atol=2e-3)
+
+
+def test_controls_that_end(tmp_path: Path) -> None:
+    """Give zeros after forces, and keep no force of an earlier step: a cart goes on at the speed that it has."""
+    text = _world(
+        '<body><joint name="x" type="slide" axis="1 0 0"/><geom size=".1" mass="2"/></body>',
+        '<actuator><motor joint="x" gear="4"/></actuator>',
+        'gravity="0 0 0"',
+    )
+    with _built(scene_of(text, tmp_path), n_env=2) as (simulator, _):
+        speeds = []
+        for controls in (np.array([1.0, 0.5]), np.zeros(2)):
+            simulator.prepare(np.tile(controls[:, None], (5, 1, 1)).astype(np.float32))
+            simulator.step(5)
+            speeds.append(simulator.state()[1][:, 0, 0])
+    np.testing.assert_allclose(speeds[0], [5 * 0.002 * 2, 5 * 0.002], rtol=1e-5)
+    np.testing.assert_allclose(speeds[1], speeds[0], rtol=1e-6)
+
+
+def test_what_may_touch(tmp_path: Path) -> None:
+    """Rest on the plane that all environments share and on a table of their own, and keep apart what MuJoCo keeps
+    apart, geom by geom; bodies without joints are no articulations there."""
+    ball = '<body name="{0}" pos="{1} 1"><freejoint/><geom size=".1" contype="{2}" conaffinity="{2}"/>{3}</body>'
+    text = _world(
+        '<geom type="plane" size="5 5 .1" contype="3" conaffinity="3"/>'
+        '<geom type="box" size=".5 .5 .1" pos="0 0 .5"/>'
+        + ball.format("through", "0 0", 2, "")
+        + ball.format("stays", ".3 .3", 1, "")
+        + ball.format("held", "-.3 .3", 2, '<geom size=".1" pos="0 0 .25"/>')
+    )
+    found, wanted = _both(scene_of(text, tmp_path), 300, n_env=3)
+    heights = found["bodies/position"][-1, :, :, 2]
+    np.testing.assert_allclose(heights, [[0.1, 0.7, 0.45]] * 3, atol=2e-3)
+    np.testing.assert_allclose(heights[:2], wanted["bodies/position"][-1, :, :, 2], atol=2e-3)
+    np.testing.assert_allclose(
+        found["bodies/position"][-1, 1:, :, :2], found["bodies/position"][0, 1:, :, :2], atol=1e-3
+    )
+
+
+@slow
+def test_environments_in_one_place(tmp_path: Path) -> None:
+    """Leave environments in one place to themselves: each has its robot, and they share what is fixed."""
+    text = _world(
+        '<geom type="plane" size="5 5 .1"/><body pos="0 0 1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
+    )
+    found, wanted = _both(scene_of(text, tmp_path), 200, n_env=3, spacing=0)
+    np.testing.assert_allclose(found["bodies/position"][-1, :, 0, 2], 0.1, atol=2e-3)
+    np.testing.assert_allclose(found["bodies/position"][-1, 0], wanted["bodies/position"][-1, 0], atol=2e-3)
+
+
+def test_what_it_holds(tmp_path: Path) -> None:
+    """Hold MuJoCo's masses, inertias, limits, springs and friction of joints, as read from the engine; a model with
+    another mass and another limit differs in these two. The recording has the stage, without clones."""
+    with _built(scene_of(MIXED, tmp_path)) as (simulator, description):
+        held = simulator.imported()
+    found = [f for kind in compare(of_c(mujoco.MjModel.from_xml_string(MIXED)), held) for f in kind.findings]
+    assert {(f.kind, f.parameter) for f in found} == {("bodies", ""), ("tendons", "")}  # added links, and no tendons
+    other = MIXED.replace('mass="2"', 'mass="2.1"').replace("-90 90", "-90 91", 1)
+    changed = compare(of_c(mujoco.MjModel.from_xml_string(other)), held)
+    items = {(f.item, f.parameter) for kind in changed for f in kind.findings if f.parameter}
+    assert {("arm", "mass"), ("leftroll", "range")} <= items
+    assert {item for item, _ in items} == {"arm", "leftroll"}
+    stage = description.attachments["scene.usda"][1].decode()
+    assert stage.count("PhysicsArticulationRootAPI") == 2
+
+
+def test_trials(tmp_path: Path) -> None:
+    """Answer the trials of gsb-import: poses relative to each environment's origin, and actuators each in one of its
+    own."""
+    scene = scene_of(MIXED, tmp_path)
+
+    def make(still: Any, n_env: int) -> Simulator:
+        return engines.make("isaaclab", replace(still), n_env=n_env)
+
+    found = tried(scene, make, dt=0.001, seed=0)
+    assert found is not None
+    np.testing.assert_allclose(
+        found.position[:, found.links.index("trunk")], found.given["bodies/position"][:, 0], atol=1e-5
+    )
+    moved = {
+        kind + target: found.velocity["joints/qvel"][-1, i]
+        for i, (kind, target) in enumerate(zip(found.kinds, found.targets, strict=True))
+    }
+    assert np.abs(moved["actuatorm"] - moved["rest"]).max() > 0.01
+
+
+def test_refusals(tmp_path: Path) -> None:
+    """Refuse a ball joint by its name, and models on backends that were not given any."""
+    ball = _world('<body><joint name="shoulder" type="ball"/><geom size=".1"/></body>')
+    with pytest.raises(Refused, match="ball joint 'shoulder'"):
+        engines.make("isaaclab", scene_of(ball, tmp_path)).build()
+    parts = _world('<body name="b"><freejoint/><geom size=".1"/><body><geom size=".1" pos="0 0 .2"/></body></body>')
+    with pytest.raises(Refused, match="no articulation without joints, such as that of body 'b'"):
+        engines.make("isaaclab", scene_of(parts, tmp_path)).build()
+    for backend in ("newton", "physx"):
+        with pytest.raises(UsageError, match="no model files: use backend=ovphysx"):
+            engines.make("isaaclab", scene_of(MIXED, tmp_path), backend=backend)
+
+
+def test_sizes_of_buffers(tmp_path: Path) -> None:
+    """Count the contacts of a model file for PhysX's buffers on a GPU, under the options of the file."""
+    text = _world(
+        '<geom type="plane" size="5 5 .1"/><body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
+    )
+    scene = scene_of(text, tmp_path)
+    options = engines.make("isaaclab", scene).options
+    need = measured(scene, dt=scene.dt, seed=0, options=options)
+    assert need.contacts == 4
+    assert need.pairs >= 1
