@@ -10,6 +10,7 @@ from gpusimbench.evaluator.runs.physics.canonical.ball_drop import ball_laws
 from gpusimbench.evaluator.runs.physics.canonical.blocks import block_laws
 from gpusimbench.evaluator.runs.physics.canonical.dice import dice_laws
 from gpusimbench.evaluator.runs.physics.canonical.double_pendulum import double_pendulum_laws
+from gpusimbench.evaluator.runs.physics.canonical.four_bar import four_bar_laws
 from gpusimbench.evaluator.runs.physics.canonical.free_body import free_body_laws
 from gpusimbench.evaluator.runs.physics.canonical.pendulum import pendulum_laws
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues
@@ -23,6 +24,7 @@ _LAWS: dict[str, Callable[[Recording], tuple[LawValues | LawCounts, ...] | Missi
     "ball-drop": ball_laws,
     "double-pendulum": double_pendulum_laws,
     "dice-drop": dice_laws,
+    "four-bar": four_bar_laws,
 }
 """By scene: its laws, or why none can be measured."""
 
