@@ -29,6 +29,7 @@ _LAWS: dict[str, Callable[[Recording], tuple[LawValues | LawCounts, ...] | Missi
 """By scene: its laws, or why none can be measured."""
 
 _KEPT = {"mass", "shift", "but"}  # of --vary: what does not change any law, and how it is drawn
+_RATIOS = {"double-pendulum", "four-bar"}  # whose links have factors of their own, so that ratios of masses vary
 
 
 def laws_of(recording: Recording) -> tuple[LawValues | LawCounts, ...] | Missing:
@@ -41,7 +42,8 @@ def laws_of(recording: Recording) -> tuple[LawValues | LawCounts, ...] | Missing
         return ()
     if c.intervention:
         return Missing("environments were changed on the way")
-    if c.vary and {part.partition(":")[0] for part in c.vary.split(",")} - _KEPT:
+    kept = _KEPT - {"mass"} if c.scene in _RATIOS else _KEPT
+    if c.vary and {part.partition(":")[0] for part in c.vary.split(",")} - kept:
         return Missing(f"environments have other parameters than the scene (--vary {c.vary})")
     try:
         return _LAWS[c.scene](recording)
