@@ -18,8 +18,10 @@ from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of
 from gpusimbench.recorder.run import initial
 from gpusimbench.recorder.scenes import loop
+from gpusimbench.recorder.scenes.base import Vector
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import joint_field
 from gpusimbench.schemas.treatment import Initial
 from tests.conftest import call
@@ -182,22 +184,47 @@ def test_a_soft_pin_yields(tmp_path: Path) -> None:
     assert isinstance(law := found["rocker_angle"], Law) and law.held
 
 
-def test_the_other_assembly_is_seen(tmp_path: Path) -> None:
-    """Break Freudenstein's equation, and not the gap, where the loop closes on the other side from the second state."""
-    scene, bars, steps = make_scene("four-bar"), _bars(0.6, 0.2, 0.5, 0.4), 400
-    assert scene.robot is not None
-    crank = 3.8 + 0.05 * np.arange(steps + 1)
-    side = np.where(np.arange(steps + 1) < 1, 1.0, -1.0)
-    coupler, rocker = (side * angle for angle in bars.angles(side * crank))  # a mirror image, of a mirrored crank
+def _written(path: Path, scene: Scene, crank: np.ndarray, side: np.ndarray) -> Path:
+    """A recording of one linkage whose crank has these angles, assembled with sign 1 as the scene says, with -1 as its
+    mirror image; angles [row]."""
+    bars = _bars(0.6, 0.2, 0.5, 0.4)
+    coupler, rocker = (side * angle for angle in bars.angles(side * crank))
     qpos = np.stack([crank, coupler - crank, rocker], axis=-1)[:, None, :, None]
     qvel = np.broadcast_to(np.array([5.0, -5.0, 0.0])[:, None], qpos.shape)
+    assert scene.robot is not None
     names = tuple(joint.name for joint in scene.robot.joints())
     fields = tuple(joint_field("robot", name, "float64", names) for name in ("qpos", "qvel"))
     with RecordingWriter(
-        tmp_path / "flipped.mcap", simulator="none", version="1", scene=scene, n_env=1, dt=0.01, steps=steps,
-        fields=fields, view=(),
+        path, simulator="none", version="1", scene=scene, n_env=1, dt=0.01, steps=len(crank) - 1, fields=fields,
+        view=(),
     ) as log:  # fmt: skip
         log.append(qpos, qvel)
-    found = _judged(tmp_path / "flipped.mcap")
+    return path
+
+
+def test_the_other_assembly_is_seen(tmp_path: Path) -> None:
+    """Break Freudenstein's equation, and not the gap, where the loop closes on the other side from the second state."""
+    crank = 3.8 + 0.05 * np.arange(401)
+    side = np.where(np.arange(401) < 1, 1.0, -1.0)
+    found = _judged(_written(tmp_path / "flipped.mcap", make_scene("four-bar"), crank, side))
     for key, held in (("gap", True), ("coupler_angle", False), ("rocker_angle", False)):
         assert isinstance(law := found[key], Law) and law.held is held
+
+
+@pytest.mark.parametrize(
+    ("coupler", "gravity", "reason"),
+    [
+        (0.1, (0.0, 0.0, -9.81), "cannot turn all the way round"),
+        (-0.5, (0.0, 0.0, -9.81), "links of positive lengths"),
+        (0.5, (0.0, -9.81, 0.0), "lies level"),
+    ],
+)
+def test_other_linkages_are_not_judged(tmp_path: Path, coupler: float, gravity: Vector, reason: str) -> None:
+    """Say what a scene of this name has to be."""
+    scene = make_scene("four-bar")
+    assert scene.robot is not None and scene.robot.loop is not None
+    pin = replace(scene.robot.loop, on_coupler=(coupler, 0.0, -0.05))
+    spoiled = replace(scene, robot=replace(scene.robot, loop=pin), gravity=gravity)
+    path = _written(tmp_path / "spoiled.mcap", spoiled, 3.8 + 0.05 * np.arange(3), np.ones(3))
+    with pytest.raises(DamagedRecording, match=reason):
+        laws_of(open_recording(path))

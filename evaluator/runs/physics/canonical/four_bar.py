@@ -160,7 +160,7 @@ def _solid(link: dict[str, Any]) -> tuple[float, float, float]:
     """Mass [kg], distance of its centre from the link's axis [m], and moment of inertia about that axis [kg m2]."""
     inertial = checks.mapping(link, "inertial")
     mass, centre = checks.number(inertial, "mass", _SMALL, _LARGE), _along(inertial.get("centre"))
-    about = checks.vector(inertial.get("inertia"), 6, "moments of inertia")[2] + mass * centre**2
-    if not 0.0 < about < _LARGE:
+    own = checks.vector(inertial.get("inertia"), 6, "moments of inertia")[2]
+    if not (0.0 < own < _LARGE and abs(centre) < _LARGE):
         raise DamagedRecording("a link's moment of inertia is positive")
-    return mass, centre, about
+    return mass, centre, own + mass * centre**2
