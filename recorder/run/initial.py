@@ -33,7 +33,7 @@ def states(
         to the angle of every joint [rad], times the joint's share where the robot has any, kept within its limits
 
     Of a robot whose links close a loop, only the crank's angle is drawn so, and its speed [rad/s]; the other joints
-    follow, so that the loop begins closed (``recorder.scenes.loop``).
+    follow, so that the loop begins closed (``recorder.scenes.loop``), to the last bit of the machine's sine and cosine.
 
     Bodies that say so get an orientation instead, uniform over all rotations (``orientations``). No body is moved, so
     that none penetrates another.
