@@ -61,22 +61,32 @@ def _gap(bars: FourBar, angle: Array, parted: float) -> LawValues:
 def _angles(bars: FourBar, angle: Array, parted: float) -> list[LawValues]:
     crank = angle[..., 0]
     expected = bars.angles(crank)
-    longer, shorter = (replace(bars, coupler=bars.coupler * (1.0 + share)).angles(crank) for share in (_NUDGE, -_NUDGE))
     least = float(np.abs(np.sin(expected[1] - expected[0])).min())
     made = []
-    for index, (name, length) in enumerate((("coupler", bars.coupler), ("rocker", bars.rocker))):
+    # what a link's own length does to its angle changes sign in a turn; what that of the other one does hardly varies
+    links = (("coupler", "rocker", bars.coupler), ("rocker", "coupler", bars.rocker))
+    for index, (name, other, length) in enumerate(links):
+        longer, shorter = (_lengthened(bars, other, 1.0 + share).angles(crank)[index] for share in (_NUDGE, -_NUDGE))
         off = wrapped(angle[..., index + 1] - expected[index]).mean(axis=0)
         mean = expected[index].mean(axis=0)
-        slope = float(wrapped(longer[index] - shorter[index]).mean()) / (2.0 * _NUDGE)
+        slope = float(wrapped(longer - shorter).mean()) / (2.0 * _NUDGE)
         made.append(
             LawValues(
                 f"{name}_angle", f"mean angle of the {name} for the crank's angles", "rad",
                 tuple(map(float, mean + off)), tuple(map(float, mean)), parted / (length * least),
                 "tolerance of the gap over the link's length and the sine of the transmission angle",
-                (("mass", 0.0), ("coupler's length", slope)),
+                (("mass", 0.0), (f"{other}'s length", slope)),
             )
         )  # fmt: skip
     return made
+
+
+def _lengthened(bars: FourBar, link: str, factor: float) -> FourBar:
+    """The linkage with that many times the length of a link."""
+    coupler, rocker = (
+        (bars.coupler * factor, bars.rocker) if link == "coupler" else (bars.coupler, bars.rocker * factor)
+    )
+    return replace(bars, coupler=coupler, rocker=rocker)
 
 
 def _energy(bars: FourBar, time: Array, energy: Array, joint: Array, dt: float) -> LawValues:
