@@ -1,10 +1,10 @@
 """How much energy a swinging rod gains in PhysX, by solver, iterations and how gravity is applied.
 
-A frictionless pendulum keeps its energy. With TGS, an articulation's step of k position iterations moves the joint by
-v dt + a dt^2 (k + 1) / (2 k) and its speed by a dt, with the acceleration a of the begin of the step. For small
-oscillations of angular frequency w, the determinant of that map is 1 + (w dt)^2 (k - 1) / (2 k) instead of 1, so that
-ln(energy) grows by (k - 1) / (2 k) times (w dt)^2 a step. If that is the cause, the measured growth of ln(energy) over
-(k - 1) / (2 k) is the same number for every k, but for the amplitude, which lowers w as it grows.
+A frictionless pendulum keeps its energy. With TGS, an articulation's step of i position iterations moves the joint by
+v dt + a dt^2 (i + 1) / (2 i) and its speed by a dt, with the acceleration a of the begin of the step. For small
+oscillations of angular frequency w, the determinant of that map is 1 + (w dt)^2 (i - 1) / (2 i) instead of 1, so that
+ln(energy) grows by (i - 1) / (2 i) times (w dt)^2 a step. If that is the cause, the measured growth of ln(energy) over
+(i - 1) / (2 i) is the same number for every i, but for the amplitude, which lowers w as it grows.
 
     python -m benchmarks.pendulum_energy        the table of docs/physics.md; needs the environment of PhysX
 """
@@ -19,7 +19,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.recorder import cli
 
 CASES: tuple[tuple[str, ...], ...] = (
-    *((f"position_iterations={k}",) for k in (1, 2, 4, 8, 16)),
+    *((f"position_iterations={i}",) for i in (1, 2, 4, 8, 16)),
     ("external_forces_every_iteration=false",),
     ("solver=PGS",),
 )
@@ -40,14 +40,14 @@ def measured(options: tuple[str, ...], folder: Path) -> tuple[float, float, floa
 
 def main() -> None:
     """Print the table."""
-    print("| options | period [s] | energy gained | growth of ln(energy) over (k - 1) / (2 k) |")
+    print("| options | period [s] | energy gained | growth of ln(energy) over (i - 1) / (2 i) |")
     print("| --- | ---: | ---: | ---: |")
     for options in CASES:
         with tempfile.TemporaryDirectory() as folder:
             period, predicted, gained = measured(options, Path(folder))
         named = dict(option.split("=") for option in options)
-        k = int(named.get("position_iterations", DEFAULT))
-        share = (k - 1) / (2 * k)
+        i = int(named.get("position_iterations", DEFAULT))
+        share = (i - 1) / (2 * i)
         ratio = f"{math.log1p(gained) / share:.2f}" if share and "position_iterations" in named else "-"
         print(f"| `{' '.join(options)}` | {period:.4f} | {100 * gained:.3g} % | {ratio} |", flush=True)
     print(f"\nPredicted period: {predicted:.4f} s.")

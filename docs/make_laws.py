@@ -1,15 +1,16 @@
 """Records the scenes with closed-form answers on the engines that are installed, and draws their tables into
 docs/physics.md: which engine keeps which law at which step, and how the measured values change with the step.
 
-usage: python docs/make_laws.py FOLDER [SIMULATOR...]
+usage: python docs/make_laws.py FOLDER [SIMULATOR|SCENE...]
 
 What FOLDER has already is not recorded again. An engine that is not installed, or does not take a scene, has no row;
-with names of simulators, no others are recorded. The table of FOLDER/power.md, which `python -m benchmarks.law_power
---out FOLDER/power.md` writes, is put into the page as well.
+with names of simulators or scenes, no others are recorded. The table of FOLDER/power.md, which
+`python -m benchmarks.law_power --out FOLDER/power.md` writes, is put into the page as well.
 """
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -27,32 +28,50 @@ BASE = 0.01
 STEPS = (0.02, BASE, 0.005)
 FINE = (*STEPS, 0.001)
 """Steps [s]; MuJoCo C, which is fast on a CPU, is recorded at one more."""
-SECONDS = {"pendulum": 10.0, "sliding-block": 2.0}
-INTEGRATED = {"free-body": 20.0, "double-pendulum": 10.0}
-"""Scenes without contacts [s], of which integrators are compared."""
-SHOWN = {"free-body": "middle_"}
-"""Of the laws of a scene, those whose keys begin so; all of the others."""
+STEPS_OF = {"ball-drop": (BASE, 0.001)}
+"""Steps [s] of scenes that have others: a bounce is over in a few steps."""
+SECONDS = {
+    "pendulum": 10.0, "sliding-block": 2.0, "free-body": 20.0, "double-pendulum": 10.0, "ball-drop": 1.5,
+    "four-bar": 10.0,
+}  # fmt: skip
+FIRST = ("pendulum", "sliding-block")
+INTEGRATED = ("free-body", "double-pendulum")
+"""Scenes without contacts, of which integrators are compared."""
+SHOWN = {"free-body": "middle_", "ball-drop": r"\w+_(restitution|gain)"}
+"""Of the laws of a scene, those whose keys match; all of the others."""
 ENVS, SPREAD = 16, 0.8
 HOPS = "highest hop of the level block"
 _TIME = 900  # for one recording [s]
 
 _RUNS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    *((scene, "mujoco", ()) for scene in SECONDS),
+    *((scene, "mujoco", ()) for scene in FIRST),
     ("sliding-block", "mujoco", ("--option", "cone=pyramidal")),
     ("sliding-block", "mujoco", ("--option", "solref=0.04 1")),
-    *((scene, "warp", ()) for scene in SECONDS),
+    *((scene, "warp", ()) for scene in FIRST),
     ("pendulum", "mjx", ("--impl", "jax")),
     ("sliding-block", "newton", ("--solver", "xpbd")),
     ("sliding-block", "newton", ()),
     ("sliding-block", "brax", ("--solver", "positional")),
     ("sliding-block", "mjx", ("--impl", "jax")),
-    *((scene, name, ()) for name in ("physx", "sapien", "genesis") for scene in SECONDS),
+    *((scene, name, ()) for name in ("physx", "sapien", "genesis") for scene in FIRST),
     *(
         (scene, "mujoco", ("--option", f"integrator={integrator}") if integrator else ())
         for scene in INTEGRATED for integrator in ("", "Euler", "implicit", "RK4")
     ),
     *((scene, "warp", ()) for scene in INTEGRATED),
     *((scene, "mjx", ("--impl", "jax")) for scene in INTEGRATED),
+    *(
+        ("four-bar", "mujoco", tuple(word for option in options for word in ("--option", option)))
+        for options in ((), ("solref=0.002 1",), ("integrator=RK4",), ("integrator=RK4", "solref=0.002 1"))
+    ),
+    ("four-bar", "warp", ()),
+    ("four-bar", "mjx", ("--impl", "jax")),
+    ("four-bar", "genesis", ()),
+    ("ball-drop", "mujoco", ()),
+    ("ball-drop", "mujoco", ("--option", "solref=0.02 0.2")),
+    ("ball-drop", "warp", ()),
+    ("ball-drop", "newton", ("--solver", "xpbd", "--option", "restitution=on")),
+    ("ball-drop", "newton", ("--solver", "steel")),
 )  # fmt: skip
 
 
@@ -75,15 +94,24 @@ def name_of(scene: str, simulator: str, options: Sequence[str], dt: float) -> st
     return "-".join([scene, simulator, *given, f"{dt:g}"])
 
 
+def steps_of(scene: str, simulator: str, options: Sequence[str]) -> tuple[float, ...]:
+    """At which a simulator is recorded [s]: MuJoCo C with its defaults, and of loops with any options, at one more."""
+    fine = simulator == "mujoco" and (not options or scene == "four-bar")
+    return STEPS_OF.get(scene, FINE if fine else STEPS)
+
+
 def record(folder: Path, chosen: Sequence[str]) -> None:
     """Record what is not there yet; an engine that fails at its first step is left out at the others."""
+    scenes = [name for name in chosen if name in SECONDS]
+    simulators = [name for name in chosen if name not in SECONDS]
     for scene, simulator, options in _RUNS:
-        for dt in FINE if simulator == "mujoco" and not options else STEPS:
+        for dt in steps_of(scene, simulator, options):
             target = folder / name_of(scene, simulator, options, dt)
-            if list(target.glob("*.mcap")) or (chosen and simulator not in chosen):
+            left_out = any(asked and name not in asked for asked, name in ((scenes, scene), (simulators, simulator)))
+            if left_out or list(target.glob("*.mcap")):
                 continue
             command = [sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", simulator, *options]
-            steps = round((SECONDS | INTEGRATED)[scene] / dt)
+            steps = round(SECONDS[scene] / dt)
             command += ["--scene", scene, "--dt", f"{dt:g}", "--steps", f"{steps}", "--no-view"]
             command += ["--n-env", f"{ENVS}", "--runs", "1", "--phases", "capture"]
             command += ["--initial", f"random:{SPREAD:g}", "--out", str(target)]
@@ -117,16 +145,19 @@ def rows(folder: Path, scene: str) -> Iterator[Row]:
                     hop = float((height - height[0]).max(axis=0).mean())
                 measured = {
                     law.key: law for law in laws("", [facts])
-                    if isinstance(law, Law) and law.key.startswith(SHOWN.get(scene, ""))
+                    if isinstance(law, Law) and re.match(SHOWN.get(scene, ""), law.key)
                 }  # fmt: skip
                 yield Row(f"{engine}, {said}" if said else engine, dt, measured, hop)
 
 
 def table(found: Sequence[Row]) -> str:
     """A row for each engine and step, a column for each law; behind a value the change from that at BASE."""
-    titles = {key: law for row in found for key, law in row.laws.items()}
+    titles: dict[str, Law] = {}
+    for key, law in ((key, law) for row in found for key, law in row.laws.items()):
+        if key not in titles or titles[key].predicted is None:
+            titles[key] = law  # of an engine that was told what decides it, if any was
     heads = [f"{law.title}{f' [{law.unit}]' if law.unit else ''}" for law in titles.values()]
-    predicted = [f"{law.predicted:.4g}" for law in titles.values()]
+    predicted = ["-" if law.predicted is None else f"{law.predicted:.4g}" for law in titles.values()]
     hops = any(row.hop is not None for row in found)
     heads += [f"{HOPS} [mm]"] if hops else []
     lines = [f"| engine | step | {' | '.join(heads)} |", f"| --- | ---: {'| ---: ' * len(heads)}|"]
@@ -144,12 +175,14 @@ def cell(law: Law | None, base: Row | None, row: Row) -> str:
     if law is None:
         return "-"
     shown = f"{law.measured:.4g}"
-    shown = shown if law.held else f"**{shown}**"
+    shown = f"**{shown}**" if law.held is False else shown
     other = base.laws.get(law.key) if base and row is not base else None
     if other is None:
         return shown
     # environments draw the same speeds at every step, so that their predictions agree but for what the law starts from
-    change = law.difference - other.difference
+    change = law.measured - other.measured
+    if law.difference is not None and other.difference is not None:
+        change = law.difference - other.difference
     relative = f"{100 * change / abs(law.predicted):+.2g} %" if law.predicted else f"{change:+.2g}"
     return f"{shown} ({relative})"
 
@@ -180,7 +213,7 @@ def main() -> None:
     folder = Path(sys.argv[1]).resolve()
     record(folder, sys.argv[2:])
     page = PAGE.read_text(encoding="utf-8")
-    for scene in SECONDS | INTEGRATED:
+    for scene in SECONDS:
         if found := list(rows(folder, scene)):
             page = with_block(page, f"laws of {scene}", table(found))
     power = folder / "power.md"

@@ -27,6 +27,7 @@ class Ability(Enum):
     FIXED_BASE = "fixed-base robots", "a tree of links whose base is part of the world"
     FLOATING_BASE = "floating-base robots", "a tree of links whose base moves freely"
     CHAINS = "robots of several chains", "a tree of links that branches, with joints behind each other in the branches"
+    LOOPS = "closed loops", "a pin between two links of a robot, which closes a loop"
     ROBOT_AMONG_BODIES = "robots among free bodies", "a robot and free bodies in one environment"
     HINGES = "hinge joints", "joints that turn about an axis"
     SLIDES = "slide joints", "joints that move along an axis"

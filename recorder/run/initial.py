@@ -32,10 +32,15 @@ def states(
         to the angular velocity of the free bodies that say so, times the body's share for each axis [rad/s]
         to the angle of every joint [rad], times the joint's share where the robot has any, kept within its limits
 
+    Of a robot whose links close a loop, only the crank's angle is drawn so, and its speed [rad/s]; the other joints
+    follow, so that the loop begins closed (``recorder.scenes.loop``), to the last bit of the machine's sine and cosine.
+
     Bodies that say so get an orientation instead, uniform over all rotations (``orientations``). No body is moved, so
     that none penetrates another.
     """
     found, limits = [], scene.joint_limits()
+    linkage = scene.robot.four_bar() if scene.robot is not None else None
+    angles = np.empty(0)  # of the loop, which come before its speeds
     bodies = {(body.group, body.name): body for body in scene.moving()}
     for place, (layout, array) in enumerate(zip(fields, first, strict=True)):
         here = [bodies.get((layout.group, name)) for name in layout.items]
@@ -47,6 +52,14 @@ def states(
         drawn = draw(initial, seed, place, array.shape)
         if layout.field == "qpos" and scene.robot is not None and scene.robot.drawn is not None:
             drawn *= np.array(scene.robot.drawn)[:, None]
+        if linkage is not None and layout.field in ("qpos", "qvel"):
+            crank = array[:, 0, 0].astype(np.float64) + drawn[:, 0, 0]
+            if layout.field == "qpos":
+                angles = closed = linkage.angles(crank)
+            else:
+                closed = linkage.speeds(angles, crank)
+            found.append(closed[..., None].astype(array.dtype))
+            continue
         added = _added(layout.field, here, drawn)
         if added is None:
             found.append(array.copy())

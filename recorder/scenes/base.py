@@ -13,8 +13,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, ClassVar, Self
 
+import numpy as np
+
 from gpusimbench.recorder.abilities import Ability
 from gpusimbench.recorder.scenes.actions import JointTargets
+from gpusimbench.recorder.scenes.loop import FourBar, Loop
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -214,6 +217,7 @@ class Robot:
     start     initial joint angles [rad], in the order of the joints
     apart     pairs of links that never collide though they are not parent and child: their shapes overlap by design
     drawn     share of the spread of --initial within which each joint's angle is drawn; None: all of it
+    loop      the pin that makes a loop of its links; None where they are a tree alone
     """
 
     name: str
@@ -222,6 +226,23 @@ class Robot:
     material: Material
     apart: tuple[tuple[str, str], ...] = ()
     drawn: tuple[float, ...] | None = None
+    loop: Loop | None = None
+
+    def four_bar(self) -> FourBar | None:
+        """The lengths of its loop; None where it has none."""
+        if self.loop is None:
+            return None
+        links = {link.name: link for link in self.links}
+        coupler, rocker = links[self.loop.coupler], links[self.loop.rocker]
+        ground = rocker.position[0] - links[coupler.parent].position[0]
+        return FourBar(ground, coupler.position[0], self.loop.on_coupler[0], self.loop.on_rocker[0])
+
+    def speeds(self) -> tuple[float, ...]:
+        """Initial joint speeds [rad/s], in the order of the joints."""
+        lengths = self.four_bar()
+        if self.loop is None or lengths is None:
+            return (0.0,) * len(self.start)
+        return tuple(lengths.speeds(np.array(self.start), self.loop.speed).tolist())
 
     def branches(self) -> bool:
         """Whether its joints are not in the order of their distance from the base, since chains stand one by one.
@@ -291,6 +312,8 @@ class Scene:
                 needs.add(Ability.HINGES)
             if self.robot.branches():
                 needs.add(Ability.CHAINS)
+            if self.robot.loop is not None:
+                needs.add(Ability.LOOPS)
             if self.moving():
                 needs.add(Ability.ROBOT_AMONG_BODIES)
         if self.actions is not None:

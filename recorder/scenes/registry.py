@@ -16,6 +16,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.cube_toss import cube_toss
 from gpusimbench.recorder.scenes.dice_drop import dice_drop
 from gpusimbench.recorder.scenes.double_pendulum import double_pendulum
+from gpusimbench.recorder.scenes.four_bar import four_bar
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.free_body import free_body
 from gpusimbench.recorder.scenes.free_fall import free_fall
@@ -40,6 +41,7 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "ball-drop": ball_drop,
     "double-pendulum": double_pendulum,
     "dice-drop": dice_drop,
+    "four-bar": four_bar,
 }
 """The built-in ones."""
 

@@ -196,6 +196,7 @@ def test_a_run_that_blew_up_says_why_it_has_no_laws(
             "fewer than 6 states were recorded after 0.1 s",
         ),
         (("--scene", "pendulum", "--steps", "20", "--vary", "friction:0.1"), "other parameters than the scene"),
+        (("--scene", "double-pendulum", "--steps", "20", "--vary", "mass:0.1"), "other parameters than the scene"),
         (("--scene", "pendulum", "--steps", "20", "--intervene", "reset@10"), "environments were changed on the way"),
     ],
 )

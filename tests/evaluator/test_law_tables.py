@@ -12,6 +12,8 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from tests.conftest import call
 from tests.scripts import script
 
+_BOUNCY = ("--option", "solref=0.02 0.2")
+
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -48,19 +50,45 @@ def test_a_row_has_measured_values_and_how_they_change_with_the_step(recorded: P
     ]
 
 
+@pytest.mark.slow
+def test_what_nothing_predicts_has_neither_a_verdict_nor_a_share(tmp_path: Path) -> None:
+    """Show restitutions of MuJoCo, which has no coefficient, without bold type, and their differences as they are."""
+    laws = script("make_laws")
+    for dt in laws.STEPS_OF["ball-drop"]:
+        call(
+            "gsb-record", "--sim", "mujoco", "--scene", "ball-drop", "--dt", dt, "--steps", round(0.8 / dt),
+            "--n-env", laws.ENVS, "--runs", 1, "--phases", "capture", "--initial", "random:0.2", "--no-view",
+            "--option", "solref=0.02 0.2", "--out", tmp_path / laws.name_of("ball-drop", "mujoco", _BOUNCY, dt), code=0,
+        )  # fmt: skip
+    coarse, fine = laws.rows(tmp_path, "ball-drop")
+    assert set(coarse.laws) == {
+        f"{ball}_{what}" for ball in ("low", "middle", "high") for what in ("restitution", "gain")
+    }
+    predicted, one, other = (
+        [cell.strip() for cell in line.split("|")[3:-1]] for line in laws.table([coarse, fine]).splitlines()[2:]
+    )
+    assert predicted == ["-", "0"] * 3
+    assert [cell.startswith("**") for cell in one] == [False, True] * 3  # the energy that each ball gains
+    low = coarse.laws["low_restitution"].measured, fine.laws["low_restitution"].measured
+    assert other[0] == f"{low[1]:.4g} ({low[1] - low[0]:+.2g})"
+
+
 def test_the_page_has_the_tables_of_the_scripts() -> None:
     """Hold a row of every engine with its version, and a cell for every law, between the markers."""
     laws = script("make_laws")
     page = laws.PAGE.read_text(encoding="utf-8")
-    for name in ("laws of pendulum", "laws of sliding-block", "power of the laws"):
+    six = {"mujoco", "warp", "mjx", "physx", "sapien", "genesis"}
+    for name, engines in (
+        ("laws of pendulum", six), ("laws of sliding-block", six), ("laws of ball-drop", {"mujoco", "warp", "newton"}),
+        ("laws of four-bar", {"mujoco", "warp", "mjx", "genesis"}), ("power of the laws", set()),
+    ):  # fmt: skip
         shown = page.split(laws.BEGIN.format(name))[1].split(laws.END.format(name))[0]
         assert len(shown.strip().splitlines()) > 4
         assert re.search(r"mujoco \d+\.\d+\.\d+", shown)
-        if name != "power of the laws":
+        if engines:
             cells = [line.split("|")[1:-1] for line in shown.strip().splitlines()]
             assert len({len(row) for row in cells}) == 1
-            engines = {row[0].split()[0] for row in cells[3:]}
-            assert engines >= {"mujoco", "warp", "mjx", "physx", "sapien", "genesis"}
+            assert {row[0].split()[0] for row in cells[3:]} >= engines
 
 
 def test_totals_are_those_of_all_rows() -> None:

@@ -26,8 +26,10 @@ WITH_ROBOTS = {"mujoco", "warp", "mjx", "playground", "genesis", "physx", "sapie
 NO_ARM = "it has no fixed-base robots, hinge joints or actions"
 NO_JOINT = "it has no fixed-base robots or hinge joints"
 NO_CHAINS = "it has no fixed-base robots, robots of several chains or hinge joints"
+NO_LOOPS = "it has no fixed-base robots, robots of several chains, closed loops or hinge joints"
 ONE_CHAIN = {"physx", "sapien"}
 NO_CHAIN = "it has no robots of several chains"
+NO_LOOP = "it has no robots of several chains or closed loops"
 WITH_ENV_STARTS = {*ENGINES} - {"maniskill", "madrona"}
 NO_ENV_STARTS = "it has no initial states per environment"
 
@@ -79,6 +81,7 @@ def test_every_pair(simulator: str, scene: str) -> None:
         "cube-toss": (WITH_ENV_STARTS, NO_ENV_STARTS),
         "pendulum": (WITH_ROBOTS, NO_JOINT),
         "double-pendulum": (WITH_ROBOTS - ONE_CHAIN, NO_CHAIN if simulator in ONE_CHAIN else NO_CHAINS),
+        "four-bar": (WITH_ROBOTS - ONE_CHAIN, NO_LOOP if simulator in ONE_CHAIN else NO_LOOPS),
     }
     able, why = without.get(scene, (ENGINES, ""))
     if simulator in able:

@@ -79,6 +79,20 @@ def test_numbers_survive(position: tuple, velocity: tuple, mass: float, friction
     assert numbers(text, "/World/materials/wood", "physics:dynamicFriction") == friction[1:]
 
 
+def test_a_pin_closes_a_loop_outside_the_articulation() -> None:
+    """Join the ends of coupler and rocker by a joint that is no part of the tree, and give the joints their speeds."""
+    text = emit_usd(make_scene("four-bar"), apis={})
+    path = "/World/envs/env0/four_bar"
+    lines = prim(text, f"{path}/pin")
+    assert "bool physics:excludeFromArticulation = true" in lines
+    for side, link in enumerate(("coupler", "rocker")):
+        assert f"rel physics:body{side} = <{path}/{link}>" in lines
+    assert numbers(text, f"{path}/pin", "physics:localPos0") == (0.5, 0.0, -0.05)
+    assert numbers(text, f"{path}/pin", "physics:localPos1") == (0.4, 0.0, 0.0)
+    (speed,) = numbers(text, f"{path}/crank_turn", "state:angular:physics:velocity")
+    assert math.radians(speed) == pytest.approx(5.0)
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_well_formed(name: str) -> None:
     """Braces and parentheses match, and a brace has its line to itself, as some readers want it."""

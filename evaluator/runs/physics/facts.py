@@ -104,8 +104,9 @@ class LawValues:
                without a verdict
     tolerance  that the step may add to the mean on either side, by the formula `of`
     slopes     by parameter: the derivative of the predicted value, mean over environments, in `unit` for a share of 1
-               of the parameter ("mass", "middle moment", "friction", "restitution", "gravity"), or for 1 N m s/rad of a
-               joint's ("damping") or 1/s of a body's ("angular damping"); 0 where it has no effect
+               of the parameter ("mass", "middle moment", "friction", "restitution", "gravity", "rocker's mass",
+               "coupler's length", "rocker's length"), or for 1 N m s/rad of a joint's ("damping") or 1/s of a body's
+               ("angular damping"); 0 where it has no effect
     absent     why an environment has no value; empty where each has one
     """
 

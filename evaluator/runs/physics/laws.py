@@ -10,6 +10,7 @@ from gpusimbench.evaluator.runs.physics.canonical.ball_drop import ball_laws
 from gpusimbench.evaluator.runs.physics.canonical.blocks import block_laws
 from gpusimbench.evaluator.runs.physics.canonical.dice import dice_laws
 from gpusimbench.evaluator.runs.physics.canonical.double_pendulum import double_pendulum_laws
+from gpusimbench.evaluator.runs.physics.canonical.four_bar import four_bar_laws
 from gpusimbench.evaluator.runs.physics.canonical.free_body import free_body_laws
 from gpusimbench.evaluator.runs.physics.canonical.pendulum import pendulum_laws
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues
@@ -23,10 +24,12 @@ _LAWS: dict[str, Callable[[Recording], tuple[LawValues | LawCounts, ...] | Missi
     "ball-drop": ball_laws,
     "double-pendulum": double_pendulum_laws,
     "dice-drop": dice_laws,
+    "four-bar": four_bar_laws,
 }
 """By scene: its laws, or why none can be measured."""
 
 _KEPT = {"mass", "shift", "but"}  # of --vary: what does not change any law, and how it is drawn
+_RATIOS = {"double-pendulum", "four-bar"}  # whose links have factors of their own, so that ratios of masses vary
 
 
 def laws_of(recording: Recording) -> tuple[LawValues | LawCounts, ...] | Missing:
@@ -39,7 +42,8 @@ def laws_of(recording: Recording) -> tuple[LawValues | LawCounts, ...] | Missing
         return ()
     if c.intervention:
         return Missing("environments were changed on the way")
-    if c.vary and {part.partition(":")[0] for part in c.vary.split(",")} - _KEPT:
+    kept = _KEPT - {"mass"} if c.scene in _RATIOS else _KEPT
+    if c.vary and {part.partition(":")[0] for part in c.vary.split(",")} - kept:
         return Missing(f"environments have other parameters than the scene (--vary {c.vary})")
     try:
         return _LAWS[c.scene](recording)

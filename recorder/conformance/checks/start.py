@@ -100,6 +100,7 @@ def _described(scene: Scene, layout: StateField) -> NDArray[np.float64]:
         assert scene.robot is not None
         return np.array(scene.robot.start)[:, None]
     if layout.field == "qvel":
-        return np.zeros((len(layout.items), 1))
+        assert scene.robot is not None
+        return np.array(scene.robot.speeds())[:, None]
     bodies = {body.name: body for body in scene.moving()}
     return np.array([getattr(bodies[item], layout.field) for item in layout.items])

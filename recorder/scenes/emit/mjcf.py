@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 
-from gpusimbench.recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Robot, Scene, Shape, Sphere
+from gpusimbench.recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Robot, Scene, Shape, Sphere, Vector
 from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
 from gpusimbench.schemas.provenance import Deviation
 
@@ -50,7 +50,15 @@ def _add_body(world: ET.Element, body: Body) -> None:
     ET.SubElement(element, "geom", {**geom, "mass": _number(body.mass)})
 
 
-def _add_robot(root: ET.Element, world: ET.Element, robot: Robot) -> None:
+def _pins(robot: Robot) -> list[tuple[str, str, Vector]]:
+    """Name, link and place of both ends of the pin that closes a robot's loop, if it has any."""
+    loop = robot.loop
+    if loop is None:
+        return []
+    return [("pin_coupler", loop.coupler, loop.on_coupler), ("pin_rocker", loop.rocker, loop.on_rocker)]
+
+
+def _add_robot(root: ET.Element, world: ET.Element, robot: Robot, stiff: Mapping[str, str]) -> None:
     friction = _numbers((robot.material.kinetic_friction, _TORSIONAL, _ROLLING))
     parents = {"": world}
     for link in robot.links:
@@ -84,9 +92,15 @@ def _add_robot(root: ET.Element, world: ET.Element, robot: Robot) -> None:
             place = {"pos": _numbers(placed.position), "quat": _numbers(placed.orientation)}
             name = f"{link.name}_{index}"
             ET.SubElement(element, "geom", {"name": name, **_geom_shape(placed.shape), "friction": friction, **place})
+        for pin, of, at in _pins(robot):
+            if of == link.name:
+                ET.SubElement(element, "site", {"name": pin, "pos": _numbers(at)})
     contact = ET.SubElement(root, "contact")
     for one, other in robot.apart:
         ET.SubElement(contact, "exclude", {"body1": one, "body2": other})
+    if pins := [pin for pin, _, _ in _pins(robot)]:
+        joined = {"name": "pin", "site1": pins[0], "site2": pins[1], **stiff}
+        ET.SubElement(ET.SubElement(root, "equality"), "connect", joined)
     actuator = ET.SubElement(root, "actuator")
     for joint in robot.joints():
         ET.SubElement(
@@ -116,7 +130,7 @@ def emit_mjcf(
 
     dt         step [s]
     option     further attributes of <option>, such as integrator and cone
-    geom       defaults of <geom>, such as solref and condim
+    geom       defaults of <geom>, such as solref and condim; a loop's pin has their solref and solimp
     numerics   custom numbers by name, which some engines read
     autoreset  whether the engine knows this flag, by which it is told not to reset states that went bad
     """
@@ -132,7 +146,7 @@ def emit_mjcf(
     for body in scene.bodies:
         _add_body(world, body)
     if scene.robot is not None:
-        _add_robot(root, world, scene.robot)
+        _add_robot(root, world, scene.robot, {name: geom[name] for name in ("solref", "solimp") if name in geom})
     custom = ET.SubElement(root, "custom") if numerics else root
     for name, data in (numerics or {}).items():
         ET.SubElement(custom, "numeric", {"name": name, "data": data})

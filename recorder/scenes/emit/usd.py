@@ -38,10 +38,13 @@ from gpusimbench.recorder.scenes.base import (
     Vector,
     solid_inertia,
 )
+from gpusimbench.recorder.scenes.loop import Loop
 
 ENVS = "/World/envs"
 SCENE = "/World/physicsScene"
 MATERIALS = "/World/materials"
+
+_PIN = "pin"  # that closes a robot's loop
 
 Value = bool | int | float | str
 Apis = Mapping[str, Mapping[str, Value]]
@@ -222,9 +225,10 @@ def _geometry(shape: Shape) -> tuple[str, list[str], Vector | None]:
 def _robot(robot: Robot, name: str, material: str, apis: Apis) -> Prim:
     root = Prim("Xform", name, ["PhysicsArticulationRootAPI"])
     root.apply(apis, "PhysxArticulationAPI")
-    words = identifiers([*(link.name for link in robot.links), *(joint.name for joint in robot.joints())])
+    words = identifiers([*(link.name for link in robot.links), *(joint.name for joint in robot.joints()), _PIN])
     path = f"{env_path(0)}/{name}"
-    angles = dict(zip((joint.name for joint in robot.joints()), robot.start, strict=True))
+    joints = [joint.name for joint in robot.joints()]
+    angles, speeds = (dict(zip(joints, numbers, strict=True)) for numbers in (robot.start, robot.speeds()))
     poses: dict[str, tuple[Vector, Quaternion]] = {"": ((0.0, 0.0, 0.0), IDENTITY)}
     for link in robot.links:
         position, orientation = _compose(poses[link.parent], (link.position, link.orientation))
@@ -234,8 +238,25 @@ def _robot(robot: Robot, name: str, material: str, apis: Apis) -> Prim:
             position, orientation = _compose((position, orientation), ((0.0, 0.0, 0.0), turned))
         poses[link.name] = (position, orientation)
         root.add(_link(link, words[link.name], poses[link.name], material, apis, _apart(robot, link, path, words)))
-        root.add(_joint(link, path, words, angles, apis))
+        root.add(_joint(link, path, words, angles, speeds, apis))
+    if robot.loop is not None:
+        root.add(_pin(robot.loop, path, words))
     return root
+
+
+def _pin(loop: Loop, path: str, words: Mapping[str, str]) -> Prim:
+    """What closes a loop: a joint that does not belong to the articulation, which is a tree."""
+    prim = Prim("PhysicsRevoluteJoint", words[_PIN])
+    prim.properties = [
+        'uniform token physics:axis = "Z"',
+        "bool physics:excludeFromArticulation = true",
+        f"rel physics:body0 = <{path}/{words[loop.coupler]}>",
+        f"rel physics:body1 = <{path}/{words[loop.rocker]}>",
+        f"point3f physics:localPos0 = {tuple_text(loop.on_coupler)}",
+        f"point3f physics:localPos1 = {tuple_text(loop.on_rocker)}",
+        *(f"quatf physics:localRot{side} = (1, 0, 0, 0)" for side in (0, 1)),
+    ]
+    return prim
 
 
 def _apart(robot: Robot, link: Link, path: str, words: Mapping[str, str]) -> list[str]:
@@ -262,7 +283,14 @@ def _link(link: Link, name: str, pose: tuple[Vector, Quaternion], material: str,
     return prim
 
 
-def _joint(link: Link, path: str, words: Mapping[str, str], angles: Mapping[str, float], apis: Apis) -> Prim:
+def _joint(
+    link: Link,
+    path: str,
+    words: Mapping[str, str],
+    angles: Mapping[str, float],
+    speeds: Mapping[str, float],
+    apis: Apis,
+) -> Prim:
     """What holds a link: its hinge, or a weld to its parent or to the world."""
     joint = link.joint
     prim = Prim("PhysicsFixedJoint", f"{words[link.name]}_weld")
@@ -281,7 +309,7 @@ def _joint(link: Link, path: str, words: Mapping[str, str], angles: Mapping[str,
         prim.apis.append("PhysicsJointStateAPI:angular")
         prim.properties += [
             f"float state:angular:physics:position = {literal(math.degrees(angles[joint.name]))}",
-            "float state:angular:physics:velocity = 0",
+            f"float state:angular:physics:velocity = {literal(math.degrees(speeds[joint.name]) or 0)}",
         ]
         axis = "PhysxJointAxisAPI:angular"
         prim.apis.append(axis)

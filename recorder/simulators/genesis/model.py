@@ -99,6 +99,7 @@ class SceneEnvironments(Environments):
         if self._described.robot is not None:
             start = np.array(self._described.robot.start)
             self._robot.set_qpos(np.repeat(start[None], n_env, axis=0), envs_idx=envs)
+            speeds[:, self._joints] = self._described.robot.speeds()
         self.solver.set_dofs_velocity(speeds, envs_idx=envs)
 
     def give(self, states: States, envs: Envs) -> None:

@@ -52,7 +52,7 @@ class Genesis(Simulator):
     """N environments on Genesis."""
 
     Options = GenesisOptions
-    abilities = BODIES - {Ability.CAPSULES} | ROBOTS | {Ability.CHAINS, Ability.MODELS}
+    abilities = BODIES - {Ability.CAPSULES} | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS}
     timing_interval = 10  # Genesis itself waits for the device at every tenth substep, to look at its error codes
     levels_without_effect = {
         "cpu": dict.fromkeys(("off", "run-to-run"), "on a CPU there is one implementation, and nothing to choose")

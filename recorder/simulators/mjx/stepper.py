@@ -29,7 +29,7 @@ class MjxSimulator(JaxSimulator):
     covers        what one timed call runs
     """
 
-    abilities = BODIES | ROBOTS | {Ability.CHAINS, Ability.MODELS}
+    abilities = BODIES | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS}
     name: ClassVar[str]
     distribution: ClassVar[str]
     covers: ClassVar[str]

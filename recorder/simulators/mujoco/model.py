@@ -159,6 +159,7 @@ def compile_scene(
         robot = Joints.of(model, "robot", names, [model.joint(name).id for name in names])
         layout.append(robot)
         qpos0[robot.at_qpos[:, 0]] = scene.robot.start
+        qvel0[robot.at_qvel[:, 0]] = scene.robot.speeds()
     return MjcfModel(scene, xml, model, qpos0, qvel0, tuple(layout))
 
 

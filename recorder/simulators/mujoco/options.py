@@ -36,9 +36,9 @@ class MjcfOptions:
     ls_iterations  of the solver's line search, at most
     tolerance      improvement at which the solver stops; 0: it makes all its iterations
     impratio       of friction to normal impedance of elliptic cones
-    solref         of contacts, two numbers: time constant [s] and damping ratio, or, both negative, stiffness and
-                   damping
-    solimp         of contacts, five numbers: impedance at no penetration and at `width`, both above 0 and below 1;
+    solref         of contacts, and of the pin that closes a scene's loop, two numbers: time constant [s] and damping
+                   ratio, or, both negative, stiffness and damping
+    solimp         of the same, five numbers: impedance at no penetration and at `width`, both above 0 and below 1;
                    width [m]; midpoint, above 0 and below 1; power, at least 1
     condim         dimensions of a contact: 1 (no friction), 3 (sliding), 4 (and torsional) or 6 (and rolling friction)
 

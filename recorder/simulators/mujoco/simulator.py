@@ -47,7 +47,7 @@ class MujocoC(Simulator):
     """N environments on MuJoCo C."""
 
     Options = MujocoOptions
-    abilities = BODIES | ROBOTS | {Ability.CHAINS, Ability.MODELS, *VARIED.values()}
+    abilities = BODIES | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS, *VARIED.values()}
     across_releases = {"stepping": "mj_step"}
 
     def build(self) -> Description:

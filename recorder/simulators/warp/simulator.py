@@ -40,7 +40,7 @@ class MujocoWarp(Simulator):
     """N environments, the worlds of one mujoco_warp.Data."""
 
     Options = WarpOptions
-    abilities = BODIES | ROBOTS | {Ability.CHAINS, Ability.MODELS, *VARIED.values()}
+    abilities = BODIES | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS, *VARIED.values()}
     timing_interval = 10
     draws_actions = True
     blocks_ahead = 2
