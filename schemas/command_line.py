@@ -32,6 +32,7 @@ _READS = {
     "gsb-check": ("GSB_PROGRESS", "TMPDIR"),
     "gsb-diff": ("GSB_PROGRESS",),
     "gsb-episodes": ("GSB_PROGRESS",),
+    "gsb-replay": ("GSB_PROGRESS",),
     "gsb-probe": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
     "gsb-fit": ("CUDA_VISIBLE_DEVICES", "GSB_CUBE_TOSS", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
     "gsb-import": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
@@ -73,6 +74,8 @@ _SEE_ALSO = {
     "gsb-diff": "gsb-audit, which replays first; gsb-eval, for sets of runs; docs/diff.md",
     "gsb-episodes": "gsb-info, which counts episodes; gsb-diff, which shows where two recordings part; "
     "docs/how-to/evaluate-a-policy.md; docs/how-to/record-your-task.md",
+    "gsb-replay": "gsb-audit, which replays recordings of gsb-record; gsb-diff, which compares two recordings step by "
+    "step; docs/how-to/will-my-dataset-replay.md; docs/how-to/record-your-task.md",
     "gsb-audit": "gsb-record --replay, which only replays; gsb-diff, which shows where two part; docs/audit.md",
     "gsb-compare": "gsb-eval, for one set; gsb-diff, for two files; docs/compare.md; docs/history.md; "
     "docs/how-to/ci.md",

@@ -15,6 +15,7 @@ from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.fields import field_of, recorded_dtype
 from gpusimbench.recorder.vector.infos import GIVEN, array_name, nothing_told, told
 from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode, mode_of, with_final
+from gpusimbench.recorder.vector.origin import origin_of
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.trees import leaves, on_host
@@ -125,7 +126,9 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             )
             for name, array in row.items()
         ]
-        options = {"autoreset_mode": self._mode.value}
+        options = {"autoreset_mode": self._mode.value, **origin_of(self.env)}
+        if self._infos:
+            options["infos"] = ", ".join(self._infos)
         if not isinstance(seed, Integral):
             options["seeds"] = "not given" if seed is None else ", ".join(map(str, seed))
         log = RecordingWriter(
