@@ -15,7 +15,8 @@ from gpusimbench.evaluator.read.episodes import Episode, episodes
 from gpusimbench.evaluator.replays.verdict import Verdict, judge
 from gpusimbench.evaluator.statistics.rates import wilson
 from gpusimbench.recorder.vector.open_loop import Part, replay
-from gpusimbench.replay.parts import given, infos_of, origin_of, parts_of, seed_of
+from gpusimbench.replay.origin import given, origin_of
+from gpusimbench.replay.parts import infos_of, parts_of, seed_of
 from tests.conftest import call, made_once
 from tests.recorder.test_wrap import MODES, acted, play, walks
 

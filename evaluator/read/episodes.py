@@ -13,10 +13,9 @@ from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.vector import FINAL_GIVEN
 
 _FLAGS = ("terminated", "truncated")
-FINAL_GIVEN = "final_observation_given"
-"""The flag of recordings that were made of data sets: 0 where the last observation of an episode is not known."""
 
 
 @dataclass(frozen=True)

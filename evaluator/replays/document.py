@@ -104,6 +104,8 @@ def warnings(found: Compared) -> Iterator[str]:
             f"{plural(found.began_otherwise, 'episode')} began with another observation: the environment, its seed or "
             "its random numbers differ before any action, so that the actions cannot lead to the same states"
         )
+    if names := dict.fromkeys(name for one in found.episodes for name in one.rounded):
+        yield f"compared in float32, since one of the files holds no more digits: {', '.join(names)}"
     for text in dict.fromkeys(text for one in found.episodes for text in one.not_compared):
         yield f"not compared: {text}"
 

@@ -52,6 +52,7 @@ class Judged:
     began_alike    whether the first observations have the same bits
     first          where bits differ first; None where they do not
     not_compared   a sentence for each array that only one has, or in another shape or dtype
+    rounded        names of arrays that were compared in float32, since one of both has no more digits
     largest        distance of observations; None without one that is finite
     left_at        step at which the outcome left the original: the first at which one had ended, or at which the sums
                    of rewards were further apart than the tolerance; None where the outcome is the same
@@ -67,6 +68,7 @@ class Judged:
     began_alike: bool
     first: ArrayDivergence | None
     not_compared: tuple[str, ...]
+    rounded: tuple[str, ...]
     largest: Largest | None
     left_at: int | None
 
@@ -85,14 +87,15 @@ def judge(original: Episode, replay: Episode | None, success: tuple[bool, bool] 
     steps = min(len(original), len(replay))
     whole = not original.ended and len(replay) >= len(original)
     seen = steps + all(one.final_known or len(one) > steps for one in (original, replay))  # observations of both
-    of_both = [_rows(one, steps, seen) for one in (original, replay)]
+    of_both, rounded = _rounded(*(_rows(one, steps, seen) for one in (original, replay)))
     unlike = tuple(_unlike(*of_both))
     alike = [name for name in of_both[0] if name not in dict(unlike)]
     compared = compare_arrays(*({name: rows[name] for name in alike} for rows in of_both))
     ends = (_end(original), _end(original if whole else replay))
     lengths = (len(original), steps if whole else len(replay))
     rewards = tuple(
-        one.rewards[:count].astype(np.float64) for one, count in zip((original, replay), lengths, strict=True)
+        one.rewards[:count].astype(np.float32 if REWARD in rounded else np.float64).astype(np.float64)
+        for one, count in zip((original, replay), lengths, strict=True)
     )
     bound = tolerance * float(np.abs(rewards[0]).sum())
     returns = float(rewards[0].sum()), float(rewards[1].sum())
@@ -117,7 +120,8 @@ def judge(original: Episode, replay: Episode | None, success: tuple[bool, bool] 
         began_alike=compared.first is None or compared.first.step > 0,
         first=compared.first,
         not_compared=tuple(sentence for _, sentence in unlike),
-        largest=_largest(original, replay, seen),
+        rounded=rounded,
+        largest=_largest(*of_both, list(original.observations)),
         left_at=None if same else min(left, default=steps),
     )
 
@@ -127,7 +131,7 @@ def _absent(original: Episode) -> Judged:
     return Judged(
         env=original.env, number=original.number, verdict=Verdict.ABSENT, steps=(len(original), 0),
         returns=(total, 0.0), ends=(_end(original), "cut"), success=None, began_alike=False, first=None,
-        not_compared=(), largest=None, left_at=None,
+        not_compared=(), rounded=(), largest=None, left_at=None,
     )  # fmt: skip
 
 
@@ -138,6 +142,17 @@ def _rows(episode: Episode, steps: int, seen: int) -> dict[str, Rows]:
         **{name: Rows(array[:seen, np.newaxis]) for name, array in episode.observations.items()},
         REWARD: Rows(episode.rewards[:steps, np.newaxis], 1),
     }
+
+
+def _rounded(a: dict[str, Rows], b: dict[str, Rows]) -> tuple[tuple[dict[str, Rows], dict[str, Rows]], tuple[str, ...]]:
+    """Both with float64 rounded to float32 where the other has that, and the names of the arrays that were."""
+    kinds = {np.dtype(np.float32), np.dtype(np.float64)}
+    names = tuple(name for name in a if name in b and {a[name].values.dtype, b[name].values.dtype} == kinds)
+    coarse = tuple(
+        {**rows, **{name: Rows(rows[name].values.astype(np.float32), rows[name].first) for name in names}}
+        for rows in (a, b)
+    )
+    return (coarse[0], coarse[1]), names
 
 
 def _unlike(a: dict[str, Rows], b: dict[str, Rows]) -> Iterator[tuple[str, str]]:
@@ -162,10 +177,10 @@ def _apart(a: NDArray[np.float64], b: NDArray[np.float64], bound: float) -> list
     return [int(beyond[0]) + 1] if beyond.size else []
 
 
-def _largest(a: Episode, b: Episode, seen: int) -> Largest | None:
+def _largest(a: dict[str, Rows], b: dict[str, Rows], names: list[str]) -> Largest | None:
     found: list[Largest] = []
-    for name in (name for name in a.observations if name in b.observations):
-        first, second = (one.observations[name][:seen].astype(np.float64) for one in (a, b))
+    for name in (name for name in names if name in b):
+        first, second = (rows[name].values.astype(np.float64) for rows in (a, b))
         if first.shape != second.shape:
             continue
         apart = np.abs(first - second).reshape(len(first), -1)

@@ -36,14 +36,20 @@ def wrap(envs: Any, path: str | Path, *, steps: int, dt: float | None = None, in
 
     if isinstance(infos, str):
         raise UsageError(f'infos is a list of names, such as ("{infos}",)')
-    told = dt if dt is not None else next(_told(envs), None)
-    if told is None:
-        raise UsageError("the environment does not say what simulated time a step takes: give dt [s]")
+    told = dt if dt is not None else step_of(envs)
     if steps < 1:
         raise UsageError(f"at least 1 step is recorded, not {steps}")
     if mode_of(envs) is Mode.NONE:
         raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
     return Recorded(envs, path, steps=steps, dt=float(told), infos=tuple(dict.fromkeys(infos)))
+
+
+def step_of(envs: Any) -> float:
+    """Simulated time of a step of a vector environment [s]; UsageError where it does not say."""
+    told = next(_told(envs), None)
+    if told is None:
+        raise UsageError("the environment does not say what simulated time a step takes: give dt [s]")
+    return float(told)
 
 
 def _told(envs: Any) -> Iterator[float]:

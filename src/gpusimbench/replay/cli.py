@@ -23,7 +23,7 @@ _REQUIRED = ("bit-identical", "same-outcome")
 _EPILOG = """\
 The recorded actions are fed, open loop, to an environment that is made again and reset with the recorded seeds; what it
 does is recorded, and compared episode by episode. Recordings are those of gpusimbench.wrap. gsb-audit replays those of
-gsb-record.
+gsb-record. A data set in HDF5 becomes a recording first, NAME.mcap in the present folder.
 
 Code runs only if you have it installed or name it: from a file come the id of Gymnasium's registry and keywords that
 are no paths, and --make imports your own module.
@@ -45,6 +45,7 @@ exit codes:
 examples:
   gsb-replay demos.mcap
   gsb-replay demos.mcap --set frame_skip=4 --require same-outcome
+  gsb-replay hopper_medium-v2.hdf5 --env Hopper-v5 --episodes 100
   gsb-replay demos.mcap --make my_task:make --success success
   gsb-replay demos.mcap --against replay-of-another-machine.mcap --json -
 """
@@ -58,7 +59,10 @@ def parser() -> argparse.ArgumentParser:
         "for bit, with the same outcome, or with another one, and where it leaves the original.",
         _EPILOG,
     )
-    p.add_argument("file", type=place, metavar="FILE", help="recording (.mcap) of gpusimbench.wrap")
+    p.add_argument(
+        "file", type=place, metavar="FILE",
+        help="recording (.mcap) of gpusimbench.wrap, D4RL file (.hdf5), or folder of a Minari data set",
+    )  # fmt: skip
     how = p.add_mutually_exclusive_group()
     how.add_argument("--env", metavar="ID", help="environment of Gymnasium's registry (default: the recorded one)")
     how.add_argument(
@@ -74,6 +78,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--out", type=local_path, metavar="FILE", help="recording of the replay (default: FILE-replay.mcap, here)"
     )
+    p.add_argument("--episodes", type=int, metavar="N", help="only the first N episodes of a data set (default: all)")
     p.add_argument("--success", metavar="NAME", help="info that says whether an episode succeeded (default: success)")
     p.add_argument(
         "--success-at", choices=("last", "any"), default="last",
@@ -99,16 +104,21 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.render.terminal import print_document
     from gpusimbench.evaluator.replays.comparison import compare
     from gpusimbench.evaluator.replays.document import dump_json, replay_document
+    from gpusimbench.recorder.demonstrations.hdf5 import file_of
+    from gpusimbench.replay.dataset import converted
     from gpusimbench.replay.parts import infos_of
 
     check_target(arguments.json)
+    source = file_of(arguments.file) if isinstance(arguments.file, Path) else None
     if not 0 <= arguments.tolerance < float("inf"):
         raise UsageError(f"--tolerance is a share of at least 0, not {arguments.tolerance}")
     if arguments.against and (arguments.keywords or arguments.out):
         raise UsageError("--against replays nothing: --set and --out have no use")
+    if arguments.episodes is not None and source is None:
+        raise UsageError("--episodes is of data sets in HDF5; of a recording, all episodes are replayed")
     if arguments.make and arguments.keywords:
         raise UsageError("--set is of environments of Gymnasium's registry: put it into the function of --make")
-    (original,) = verified([arguments.file])
+    (original,) = verified([arguments.file if source is None else converted(source, arguments)])
     success = arguments.success or ("success" if "success" in infos_of(original) else None)
     made = arguments.against or place(str(_replayed(original, arguments)))
     (replay,) = verified([made])
@@ -122,17 +132,15 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _replayed(original: Recording, arguments: argparse.Namespace) -> Path:
-    try:
-        import gymnasium  # noqa: F401
-    except ImportError:
-        raise UsageError("replaying needs Gymnasium: pip install 'gymnasium[mujoco]'") from None
+    from gpusimbench.replay.dataset import require_gymnasium
+    from gpusimbench.replay.origin import given, origin_of
+    from gpusimbench.replay.parts import infos_of, parts_of, seed_of
+
+    require_gymnasium()
     from gpusimbench.recorder.vector.making import of_factory, registered
     from gpusimbench.recorder.vector.open_loop import replay
-    from gpusimbench.replay.parts import given, infos_of, origin_of, parts_of, seed_of
 
-    path = arguments.out or Path(f"{Path(str(arguments.file)).name.removesuffix('.mcap')}-replay.mcap")
-    if path.exists():
-        raise UsageError(f"{path} exists: name another file with --out")
+    path = _target(original, arguments.out)
     parts, n_env = parts_of(original), original.configuration.n_env
     if arguments.make:
         _say(f"replaying in what {arguments.make} makes")
@@ -144,6 +152,14 @@ def _replayed(original: Recording, arguments: argparse.Namespace) -> Path:
         envs = registered(origin.spec_id, origin.keywords, n_env, vectorization=origin.vectorization)
     with stage("replaying episodes"):
         replay(envs, path, parts, seed=seed_of(original), infos=infos_of(original), dt=original.configuration.dt)
+    return path
+
+
+def _target(original: Recording, named: Path | None) -> Path:
+    """Where the replay is recorded; UsageError where a file is there."""
+    path = named or Path(f"{Path(str(original.path)).name.removesuffix('.mcap')}-replay.mcap")
+    if path.exists():
+        raise UsageError(f"{path} exists: name another file with --out")
     return path
 
 
