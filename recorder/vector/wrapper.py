@@ -63,9 +63,14 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         given = _arrays(actions, "action")  # before the environment may change them
         if self._log is None:
             self._begin(given)
-        self._recording(self._make_room)
-        returned = self._recording(lambda: self.env.step(actions))
-        self._recording(lambda: self._stepped(given, *returned))
+        try:
+            if self._filled == _ROWS:
+                self._write()
+            returned = self.env.step(actions)
+            self._stepped(given, *returned)
+        except BaseException as error:
+            self._end(error)
+            raise
         return returned
 
     def close(self, **keywords: Any) -> Any:
@@ -146,15 +151,17 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
 
     def _stepped(self, given: Row, observation: Any, reward: Any, terminated: Any, truncated: Any, info: Any) -> None:
         seen = _arrays(observation, "observation", copy=False)
-        flags = {name: on_host(array, name) for name, array in zip(_FLAGS, (terminated, truncated), strict=True)}
+        flags = {"terminated": on_host(terminated, "terminated", copy=False)}
+        flags["truncated"] = on_host(truncated, "truncated", copy=False)
         done = flags["terminated"] | flags["truncated"]
         last = with_final(observation, info, done) if self._mode is Mode.SAME_STEP else _final(seen)
         began = self._ledger.stepped(done)
         if began.any():  # which ignored their actions
             for array in given.values():
                 array[began] = 0
-        of_step = {"reward": on_host(reward, "reward", copy=False), **flags, "stepped": ~began}
-        of_info = told(self._infos, info, self._mode, done, ~began)
+        made = ~began
+        of_step = {"reward": on_host(reward, "reward", copy=False), **flags, "stepped": made}
+        of_info = told(self._infos, info, self._mode, done, made)
         self._put(self._filled, {**given, **seen, **of_step, **last, **self._counts(), **of_info})
         self._filled += 1
         self._made += 1
@@ -172,10 +179,6 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             if array.shape != column.shape[1:]:
                 raise UsageError(f"{name} has shape {array.shape}, and had {column.shape[1:]} before")
             column[at] = array
-
-    def _make_room(self) -> None:
-        if self._filled == _ROWS:
-            self._write()
 
     def _write(self) -> None:
         rows, self._filled = self._filled, 0
