@@ -149,6 +149,28 @@ def test_another_seed_is_named(tmp_path: Path) -> None:
     assert any("began with another observation" in one for one in found["warnings"])
 
 
+@pytest.mark.parametrize("mode", MODES)
+def test_recorded_physics_replaces_a_seed(mode: str, tmp_path: Path) -> None:
+    """Begin each episode in the recorded state of MuJoCo, where no seed was given."""
+    vector = {"autoreset_mode": gymnasium.vector.AutoresetMode(mode)}
+    made = gymnasium.make_vec("Hopper-v5", num_envs=3, max_episode_steps=15, vector_kwargs=vector)
+    envs = wrap(made, tmp_path / "a.mcap", steps=_STEPS, physics=True)
+    envs.reset()
+    envs.action_space.seed(3)
+    for _ in range(_STEPS):
+        _, _, terminated, truncated, _ = envs.step(envs.action_space.sample())
+        if mode == "Disabled" and (over := terminated | truncated).any():
+            envs.reset(options={"reset_mask": over})
+    envs.close()
+    recording = open_recording(tmp_path / "a.mcap")
+    seen, qpos = (recording.state("env", name)[:, :, 0] for name in ("observation", "physics_qpos"))
+    assert (seen[..., :5] == qpos[..., 1:]).all()  # Hopper's observation begins with the joint positions but the first
+    found = replayed(tmp_path / "a.mcap", tmp_path, code=0)
+    assert set(counts(found)) == {"bit-identical"} and len(found["episodes"]) >= 8
+    with pytest.raises(UsageError, match="MuJoCo tasks"):
+        wrap(walks(2, 4, mode), tmp_path / "b.mcap", steps=1, physics=True)
+
+
 def test_a_function_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Import the named module from the present folder, and nothing that a file names."""
     monkeypatch.setattr(sys, "path", [*sys.path])

@@ -77,7 +77,7 @@ def replay(
     parts  the episodes of each environment, [env][episode]
     seed   of the first reset: a number, one for each environment, or None
     infos  as of wrap
-    dt     as of wrap [s]
+    dt     as of wrap [s]; physics is recorded where parts begin in states
 
     An environment whose episode ends earlier than its actions goes on with its next episode. With the autoreset mode
     Disabled, one whose episode has not ended after its last action is reset; in other modes it is fed the last action
@@ -93,7 +93,8 @@ def replay(
     spare = next(of_env[0] for of_env in parts if of_env)
     for place in places:
         place.last = {name: array[0] for name, array in spare.actions.items()}
-    with wrap(envs, path, steps=steps, dt=dt, infos=infos) as recorded:
+    physics = any(part.state is not None for of_env in parts for part in of_env)
+    with wrap(envs, path, steps=steps, dt=dt, infos=infos, physics=physics) as recorded:
         form = _Form(recorded.action_space)
         begin_at(envs, _starts(places))
         recorded.reset(seed=seed)

@@ -16,6 +16,7 @@ from gpusimbench.recorder.vector.fields import field_of, recorded_dtype
 from gpusimbench.recorder.vector.infos import GIVEN, array_name, nothing_told, told
 from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode, mode_of, with_final
 from gpusimbench.recorder.vector.origin import origin_of
+from gpusimbench.recorder.vector.physics import Physics
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.trees import leaves, on_host
@@ -35,8 +36,11 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
     replace its observations.
     """
 
-    def __init__(self, envs: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, envs: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...] = (), physics: bool = False
+    ) -> None:
         super().__init__(envs)
+        self._physics = Physics(envs) if physics else None
         self._path, self._steps, self._dt, self._infos = path, steps, dt, infos
         self._mode = mode_of(envs)
         self._ledger = Ledger(self.num_envs, self._mode)
@@ -101,11 +105,13 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
 
     def _reset(self, observation: Any, seed: Any, mask: Any) -> None:
         if self._log is None:
-            self._start = _arrays(observation, "observation"), seed
+            self._start = {**_arrays(observation, "observation"), **self._states()}, seed
             return
         every = np.ones(self.num_envs, dtype=np.bool_)
         self._ledger.reset(every if mask is None else on_host(mask, "reset_mask").astype(np.bool_))
-        self._put(self._filled - 1, {**_arrays(observation, "observation", copy=False), **self._counts()})
+        self._put(
+            self._filled - 1, {**_arrays(observation, "observation", copy=False), **self._states(), **self._counts()}
+        )
 
     def _begin(self, actions: Row) -> None:
         if self._start is None:
@@ -162,11 +168,14 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         made = ~began
         of_step = {"reward": on_host(reward, "reward", copy=False), **flags, "stepped": made}
         of_info = told(self._infos, info, self._mode, done, made)
-        self._put(self._filled, {**given, **seen, **of_step, **last, **self._counts(), **of_info})
+        self._put(self._filled, {**given, **seen, **self._states(), **of_step, **last, **self._counts(), **of_info})
         self._filled += 1
         self._made += 1
         if self._made == self._steps:
             self._end(None)
+
+    def _states(self) -> Row:
+        return self._physics.states() if self._physics else {}
 
     def _counts(self) -> Row:
         return {"episode": self._ledger.episode, "episode_step": self._ledger.step}
@@ -203,7 +212,9 @@ def _arrays(tree: Any, name: str, *, copy: bool = True) -> Row:
 
 
 def _final(seen: Row) -> Row:
-    return {name.replace("observation", FINAL, 1): array for name, array in seen.items()}
+    return {
+        name.replace("observation", FINAL, 1): array for name, array in seen.items() if name.startswith("observation")
+    }
 
 
 def _name(envs: Any) -> str:
