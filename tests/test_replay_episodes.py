@@ -22,6 +22,7 @@ from tests.recorder.test_wrap import MODES, acted, play, walks
 
 gymnasium = pytest.importorskip("gymnasium")
 
+RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
 _STEPS = 40
 
 
@@ -188,6 +189,35 @@ def test_a_function_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     failed = call("gsb-replay", path, "--make", "my_walks:nothing", "--out", "b.mcap", code=2, cwd=tmp_path).stderr
     assert "my_walks:nothing failed: AttributeError" in failed
     sys.modules.pop("my_walks")
+
+
+def test_what_cannot_be_replayed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Say in a line what is wrong: other actions, no such keyword, an environment that fails, no episodes."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    path = recording_of("HalfCheetah-v5")
+
+    def complaint(*arguments: object, code: int) -> str:
+        said = call("gsb-replay", *arguments, "--out", "b.mcap", code=code, cwd=tmp_path).stderr
+        return next(line for line in reversed(said.splitlines()) if line.startswith("gsb-replay: "))
+
+    assert "the environment takes action of shape (3,), and 6 numbers" in complaint(path, "--env", "Hopper-v5", code=2)
+    assert "Hopper-v5 cannot be made" in complaint(recording_of("Hopper-v5"), "--set", "legs=2", code=2)
+    assert "Nothing-v0 cannot be made" in complaint(path, "--env", "Nothing-v0", code=2)
+    (tmp_path / "fails.py").write_text(
+        "import gymnasium\n\n\nclass Fails(gymnasium.vector.VectorWrapper):\n    def step(self, actions):\n"
+        "        raise RuntimeError('no power')\n\n\ndef make(n_env):\n"
+        "    return Fails(gymnasium.make_vec('HalfCheetah-v5', num_envs=n_env))\n"
+    )
+    assert "the environment failed: RuntimeError: no power" in complaint(path, "--make", "fails:make", code=1)
+    sys.modules.pop("fails")
+    failed = open_recording(tmp_path / "b.mcap")  # which says why, and stays
+    assert (failed.status, failed.reason) == ("failed", "RuntimeError: no power")
+    failed.path.unlink()
+    assert "gsb-audit replays runs of gsb-record" in complaint(next(RECORDINGS.glob("*.mcap")), code=5)
+    assert "--episodes is of data sets" in complaint(path, "--episodes", 3, code=2)
+    assert "--set is of environments of Gymnasium" in complaint(path, "--make", "a:b", "--set", "c=1", code=2)
+    refused = call("gsb-replay", path, "--against", path, "--set", "c=1", code=2).stderr
+    assert "--against replays nothing" in refused
 
 
 def test_nothing_of_a_file_is_executed(tmp_path: Path) -> None:

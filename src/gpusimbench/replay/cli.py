@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, verified, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
-from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.location import place
+from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.progress import stage
 from gpusimbench.schemas.text import line, show
 
@@ -36,7 +37,7 @@ verdicts, strongest first:
 
 exit codes:
   0  every episode has the verdict of --require, or a stronger one
-  1  the results cannot be written
+  1  the environment failed while it was stepped, or the results cannot be written
   2  wrong usage, or the environment cannot be made
   3  a recording is damaged
   4  an episode has a weaker verdict
@@ -51,7 +52,7 @@ examples:
 """
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
     """The command's arguments."""
     p = new_parser(
         "gsb-replay",
@@ -95,6 +96,9 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     p.add_argument("--all", action="store_true", help="list every episode")
     add_json(p, "result")
+    p.show_first(
+        "--env", "--make", "--against", "--set", "--out", "--episodes", "--success", "--require", "--all", "--json"
+    )
     return p
 
 
@@ -151,7 +155,12 @@ def _replayed(original: Recording, arguments: argparse.Namespace) -> Path:
         _say(f"replaying in {n_env} environments {origin.spec_id}({words})")
         envs = registered(origin.spec_id, origin.keywords, n_env, vectorization=origin.vectorization)
     with stage("replaying episodes"):
-        replay(envs, path, parts, seed=seed_of(original), infos=infos_of(original), dt=original.configuration.dt)
+        try:
+            replay(envs, path, parts, seed=seed_of(original), infos=infos_of(original), dt=original.configuration.dt)
+        except GsbError:
+            raise
+        except Exception as error:  # of the environment, whatever its kind
+            raise GsbError(f"the environment failed: {type(error).__name__}: {error}") from error
     return path
 
 
