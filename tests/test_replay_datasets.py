@@ -101,6 +101,10 @@ def test_data_sets_replay(task: str, tmp_path: Path) -> None:
             assert there.final_known == (name == "grouped-v0")
             known = len(one) + there.final_known
             assert (there.observations["observation"][:known] == one.observations["observation"][:known]).all()
+    arrays = [open_recording(tmp_path / name) for name in ("grouped-v0.mcap", "grouped-v0-replay.mcap")]
+    first, second = (one.state("env", "final_observation")[:] for one in arrays)
+    steps = min(len(one) for one in of) + 1
+    assert (first[:steps] == second[:steps]).all()  # rows are those of wrap
     again = call("gsb-replay", "flat.hdf5", "--env", task, code=2, cwd=tmp_path).stderr
     assert "flat.mcap exists: give it instead" in again
     call("gsb-replay", "flat.mcap", *longest, "--out", "again.mcap", code=0, cwd=tmp_path)

@@ -24,6 +24,8 @@ _NO_CAUSES = (
     "options.infos",
     "options.seeds",
     "options.autoreset_mode",
+    "options.source",
+    "options.vectorization",
     "software.recorder",
     "software.packages.gpusimbench",
 )

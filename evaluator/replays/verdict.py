@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -118,7 +118,7 @@ def judge(original: Episode, replay: Episode | None, success: tuple[bool, bool] 
         ends=ends,
         success=success,
         began_alike=compared.first is None or compared.first.step > 0,
-        first=compared.first,
+        first=replace(compared.first, env=original.env) if compared.first else None,
         not_compared=tuple(sentence for _, sentence in unlike),
         rounded=rounded,
         largest=_largest(*of_both, list(original.observations)),

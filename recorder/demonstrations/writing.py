@@ -108,7 +108,10 @@ def _put(columns: Columns, env: int, at: int, number: int, one: Demonstration, s
     for name, array in one.observations.items():
         whole = array if len(array) > n else np.concatenate([array, array[-1:]])
         given[name] = (before, whole[:-1])
-        given[name.replace("observation", "final_observation", 1)] = (after, whole[1:])
+        final = name.replace("observation", "final_observation", 1)
+        given[final] = (
+            (slice(at, at + n + 1), whole) if not at else (after, whole[1:])
+        )  # in row 0 the first observation
         columns[FINAL_GIVEN][after, env] = True
         columns[FINAL_GIVEN][at + n, env] = len(array) > n
     given |= {f"{PHYSICS}{name}": (before, array) for name, array in one.physics.items()}
