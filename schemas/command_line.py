@@ -47,6 +47,10 @@ _FILES = {
         "OUT/SIM-SCENE-nN-rR-TIME.mcap  run R, begun at TIME (UTC); SIM with its solver and level of determinism",
         "OUT/NAME.mcap.partial  a run that is being made, or what a crash left of it, for gsb-share recover",
     ),
+    "gsb-replay": (
+        "NAME-replay.mcap  the replay, a recording like any other",
+        "NAME.mcap  the recording that a data set becomes",
+    ),
     "gsb-audit": ("OUT/NAME.mcap  a replay, a recording like any other",),
     "gsb-probe": ("OUT/NAME.mcap  a run, a recording like any other",),
     "gsb-fit": (
