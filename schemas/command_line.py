@@ -33,6 +33,7 @@ _READS = {
     "gsb-diff": ("GSB_PROGRESS",),
     "gsb-episodes": ("GSB_PROGRESS",),
     "gsb-run": ("CUDA_VISIBLE_DEVICES", "GSB_PROGRESS"),
+    "gsb-replay": ("GSB_PROGRESS",),
     "gsb-probe": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
     "gsb-fit": ("CUDA_VISIBLE_DEVICES", "GSB_CUBE_TOSS", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
     "gsb-import": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
@@ -46,6 +47,10 @@ _FILES = {
     "gsb-record": (
         "OUT/SIM-SCENE-nN-rR-TIME.mcap  run R, begun at TIME (UTC); SIM with its solver and level of determinism",
         "OUT/NAME.mcap.partial  a run that is being made, or what a crash left of it, for gsb-share recover",
+    ),
+    "gsb-replay": (
+        "NAME-replay.mcap  the replay, a recording like any other",
+        "NAME.mcap  the recording that a data set becomes",
     ),
     "gsb-audit": ("OUT/NAME.mcap  a replay, a recording like any other",),
     "gsb-run": (
@@ -80,6 +85,8 @@ _SEE_ALSO = {
     "docs/how-to/evaluate-a-policy.md; docs/how-to/record-your-task.md",
     "gsb-run": "gsb-diff, which compares two recordings; gsb-audit --command, which runs a program again; "
     "docs/how-to/is-my-training-reproducible.md; docs/how-to/record-your-task.md",
+    "gsb-replay": "gsb-audit, which replays recordings of gsb-record; gsb-diff, which compares two recordings step by "
+    "step; docs/how-to/will-my-dataset-replay.md; docs/how-to/record-your-task.md",
     "gsb-audit": "gsb-record --replay, which only replays; gsb-diff, which shows where two part; docs/audit.md",
     "gsb-compare": "gsb-eval, for one set; gsb-diff, for two files; docs/compare.md; docs/history.md; "
     "docs/how-to/ci.md",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,6 +91,13 @@ def first_observations(recording: Recording, env: NDArray[np.int64], row: NDArra
     env, row  of each, [episode], such as those of an EpisodeTable
     """
     names = [field.field for field in recording.fields if field.group == ENV and field.field.startswith("observation")]
+    return rows_of(recording, names, env, row)
+
+
+def rows_of(
+    recording: Recording, names: Sequence[str], env: NDArray[np.int64], row: NDArray[np.int64]
+) -> dict[str, NDArray[Any]]:
+    """Some rows of some arrays of environments, [episode, width] by the name of the array; see first_observations."""
     found = {}
     for name in names:
         array = recording.state(ENV, name)

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.vector import FINAL_GIVEN
 
 _FLAGS = ("terminated", "truncated")
 
@@ -26,6 +27,7 @@ class Episode:
     actions       by name, [T, ...]
     rewards       [T]
     terminated, truncated  whether it ended so; neither where it was cut by a reset, or by the end of the recording
+    final_known   whether the last observation is known; that of a data set which lacks it repeats the one before
     """
 
     env: int
@@ -35,6 +37,7 @@ class Episode:
     rewards: NDArray[np.floating]
     terminated: bool
     truncated: bool
+    final_known: bool = True
 
     def __len__(self) -> int:
         return len(self.rewards)
@@ -123,4 +126,5 @@ def _of_env(recording: Recording, env: int, names: list[str]) -> Iterator[Episod
             actions={name: array[rows] for name, array in columns.items() if name.startswith("action")},
             rewards=columns["reward"][rows, 0],
             **{flag: bool(columns[flag][last, 0]) for flag in _FLAGS},
+            final_known=FINAL_GIVEN not in columns or bool(columns[FINAL_GIVEN][last, 0]),
         )

@@ -20,12 +20,12 @@ class Workers:
     """
 
     def __init__(self, *, alone: bool) -> None:
-        self._alone = alone
+        self.alone = alone
         self._threads: ThreadPoolExecutor | None = None
 
     def start(self, work: Callable[[_S], _T], items: Sequence[_S]) -> Iterable[_T]:
         """Begin the work on all items; the results in order, each once it is there."""
-        if self._alone:
+        if self.alone:
             return [work(item) for item in items]
         if self._threads is None:
             count = max(2, min(_MOST, len(os.sched_getaffinity(0)) // 2))

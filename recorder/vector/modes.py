@@ -69,7 +69,8 @@ class Ledger:
         self._mode = mode
         self.episode = np.zeros(n_env, dtype=np.int64)
         self.step = np.zeros(n_env, dtype=np.int64)
-        self._ended = np.zeros(n_env, dtype=np.bool_)
+        self._none = np.zeros(n_env, dtype=np.bool_)
+        self._ended = self._none  # which the next call of step resets
 
     def stepped(self, done: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Every environment was stepped once, and the episodes of some ended.
@@ -77,12 +78,16 @@ class Ledger:
         Returns which environments began their next episode instead of making a step: the last observation of an
         episode is not stepped from.
         """
-        began = self._ended.copy() if self._mode is Mode.NEXT_STEP else np.zeros_like(self._ended)
+        began, self._ended = self._ended, self._none
         self.step += 1
-        self._begin(began)
-        self._ended = done & ~began
-        if self._mode is Mode.SAME_STEP:
-            self._begin(done)
+        if began is not self._none:  # most steps are within episodes, and cost no more than the count
+            self._begin(began)
+            done = done & ~began
+        if done.any():
+            if self._mode is Mode.SAME_STEP:
+                self._begin(done)
+            elif self._mode is Mode.NEXT_STEP:
+                self._ended = done
         return began
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
@@ -92,4 +97,5 @@ class Ledger:
     def _begin(self, mask: NDArray[np.bool_]) -> None:
         self.episode[mask] += 1
         self.step[mask] = 0
-        self._ended &= ~mask
+        if self._ended is not self._none:
+            self._ended = self._ended & ~mask

@@ -13,7 +13,15 @@ if TYPE_CHECKING:
     from gpusimbench.recorder.vector.wrapper import Recorded
 
 
-def wrap(envs: Any, path: str | Path, *, steps: int, dt: float | None = None, infos: Sequence[str] = ()) -> Recorded:
+def wrap(
+    envs: Any,
+    path: str | Path,
+    *,
+    steps: int,
+    dt: float | None = None,
+    infos: Sequence[str] = (),
+    physics: bool = False,
+) -> Recorded:
     """Record a Gymnasium VectorEnv while it is used: the same interface, and a file.
 
     envs   the vector environment, of Gymnasium 1.0 or later
@@ -22,29 +30,37 @@ def wrap(envs: Any, path: str | Path, *, steps: int, dt: float | None = None, in
     steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on
     dt     simulated time of a step [s]; None: what the task says of it (dt, step_dt, or render_fps of its metadata)
     infos  scalars of the infos that are recorded, such as "success"; "a/b" is b in the dictionary a
+    physics  whether MuJoCo's qpos and qvel are recorded, for gsb-replay: of tasks of Gymnasium in this process
 
     Row 0 is the reset, row k the k-th call of step, of every environment:
     action, observation (that the next action is for), reward, terminated, truncated, final_observation (what step
     returned, before a reset replaced it), episode and episode_step (of the observation), and whether a step was made at
     all, since a call of step that begins the next episode makes none. Each of infos gives info_NAME, what the info of
     the step said, and info_NAME_given, 0 where it said nothing. The autoreset mode is read from the metadata of the
-    environment. Units are unknown. Recordings of fewer steps end as failed when the environment is closed.
+    environment. physics gives physics_qpos and physics_qvel, the state of the observation. Units are unknown.
+    Recordings of fewer steps end as failed when the environment is closed.
 
-    Returns the wrapped environment. Raises UsageError where steps or dt cannot be, or dt or the autoreset mode is not
-    known.
+    Returns the wrapped environment. Raises UsageError where steps or dt cannot be, dt or the autoreset mode is not
+    known, or physics of another task is asked for.
     """
     from gpusimbench.recorder.vector.wrapper import Recorded
 
     if isinstance(infos, str):
         raise UsageError(f'infos is a list of names, such as ("{infos}",)')
-    told = dt if dt is not None else next(_told(envs), None)
-    if told is None:
-        raise UsageError("the environment does not say what simulated time a step takes: give dt [s]")
+    told = dt if dt is not None else step_of(envs)
     if steps < 1:
         raise UsageError(f"at least 1 step is recorded, not {steps}")
     if mode_of(envs) is Mode.NONE:
         raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
-    return Recorded(envs, path, steps=steps, dt=float(told), infos=tuple(dict.fromkeys(infos)))
+    return Recorded(envs, path, steps=steps, dt=float(told), infos=tuple(dict.fromkeys(infos)), physics=physics)
+
+
+def step_of(envs: Any) -> float:
+    """Simulated time of a step of a vector environment [s]; UsageError where it does not say."""
+    told = next(_told(envs), None)
+    if told is None:
+        raise UsageError("the environment does not say what simulated time a step takes: give dt [s]")
+    return float(told)
 
 
 def _told(envs: Any) -> Iterator[float]:

@@ -16,6 +16,8 @@ from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.fields import field_of, recorded_dtype
 from gpusimbench.recorder.vector.infos import GIVEN, array_name, nothing_told, told
 from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode, mode_of, with_final
+from gpusimbench.recorder.vector.origin import origin_of
+from gpusimbench.recorder.vector.physics import Physics
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.trees import leaves, on_host
@@ -35,8 +37,11 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
     replace its observations.
     """
 
-    def __init__(self, envs: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, envs: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...] = (), physics: bool = False
+    ) -> None:
         super().__init__(envs)
+        self._physics = Physics(envs) if physics else None
         self._path, self._steps, self._dt, self._infos = path, steps, dt, infos
         self._mode = mode_of(envs)
         self._ledger = Ledger(self.num_envs, self._mode)
@@ -67,9 +72,14 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         given = _arrays(actions, "action")  # before the environment may change them
         if self._log is None:
             self._begin(given)
-        self._recording(self._make_room)
-        returned = self._recording(lambda: self.env.step(actions))
-        self._recording(lambda: self._stepped(given, *returned))
+        try:
+            if self._filled == _ROWS:
+                self._write()
+            returned = self.env.step(actions)
+            self._stepped(given, *returned)
+        except BaseException as error:
+            self._end(error)
+            raise
         return returned
 
     def fingerprint(self, name: str, arrays: Any) -> None:
@@ -120,11 +130,13 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
 
     def _reset(self, observation: Any, seed: Any, mask: Any) -> None:
         if self._log is None:
-            self._start = _arrays(observation, "observation"), seed
+            self._start = {**_arrays(observation, "observation"), **self._states()}, seed
             return
         every = np.ones(self.num_envs, dtype=np.bool_)
         self._ledger.reset(every if mask is None else on_host(mask, "reset_mask").astype(np.bool_))
-        self._put(self._filled - 1, {**_arrays(observation, "observation", copy=False), **self._counts()})
+        self._put(
+            self._filled - 1, {**_arrays(observation, "observation", copy=False), **self._states(), **self._counts()}
+        )
 
     def _begin(self, actions: Row) -> None:
         if self._start is None:
@@ -150,7 +162,9 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             )
             for name, array in row.items()
         ]
-        options = {"autoreset_mode": self._mode.value}
+        options = {"autoreset_mode": self._mode.value, **origin_of(self.env)}
+        if self._infos:
+            options["infos"] = ", ".join(self._infos)
         if not isinstance(seed, Integral):
             options["seeds"] = "not given" if seed is None else ", ".join(map(str, seed))
         log = RecordingWriter(
@@ -171,16 +185,18 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
 
     def _stepped(self, given: Row, observation: Any, reward: Any, terminated: Any, truncated: Any, info: Any) -> None:
         seen = _arrays(observation, "observation", copy=False)
-        flags = {name: on_host(array, name) for name, array in zip(_FLAGS, (terminated, truncated), strict=True)}
+        flags = {"terminated": on_host(terminated, "terminated", copy=False)}
+        flags["truncated"] = on_host(truncated, "truncated", copy=False)
         done = flags["terminated"] | flags["truncated"]
         last = with_final(observation, info, done) if self._mode is Mode.SAME_STEP else _final(seen)
         began = self._ledger.stepped(done)
         if began.any():  # which ignored their actions
             for array in given.values():
                 array[began] = 0
-        of_step = {"reward": on_host(reward, "reward", copy=False), **flags, "stepped": ~began}
-        of_info = told(self._infos, info, self._mode, done, ~began)
-        self._put(self._filled, {**given, **seen, **of_step, **last, **self._counts(), **of_info})
+        made = ~began
+        of_step = {"reward": on_host(reward, "reward", copy=False), **flags, "stepped": made}
+        of_info = told(self._infos, info, self._mode, done, made)
+        self._put(self._filled, {**given, **seen, **self._states(), **of_step, **last, **self._counts(), **of_info})
         self._filled += 1
         self._made += 1
         if self._made == self._steps and not self._hashing:
@@ -189,6 +205,9 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
     def _hash(self, name: str, found: Hashed, states: int) -> None:
         assert self._log is not None
         self._log.fingerprint(name, found, states=states)
+
+    def _states(self) -> Row:
+        return self._physics.states() if self._physics else {}
 
     def _counts(self) -> Row:
         return {"episode": self._ledger.episode, "episode_step": self._ledger.step}
@@ -201,10 +220,6 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             if array.shape != column.shape[1:]:
                 raise UsageError(f"{name} has shape {array.shape}, and had {column.shape[1:]} before")
             column[at] = array
-
-    def _make_room(self) -> None:
-        if self._filled == _ROWS:
-            self._write()
 
     def _write(self) -> None:
         rows, self._filled = self._filled, 0
@@ -229,7 +244,9 @@ def _arrays(tree: Any, name: str, *, copy: bool = True) -> Row:
 
 
 def _final(seen: Row) -> Row:
-    return {name.replace("observation", FINAL, 1): array for name, array in seen.items()}
+    return {
+        name.replace("observation", FINAL, 1): array for name, array in seen.items() if name.startswith("observation")
+    }
 
 
 def _name(envs: Any) -> str:

@@ -49,6 +49,7 @@ COMMANDS = {
     "diff": Command("where two recordings, or environments of one, first differ", f"{_EVALUATOR}.diff"),
     "episodes": Command("success and return of a policy, alone or against another", f"{_EVALUATOR}.episodes"),
     "run": Command("whether a program does the same again, and what differs first", f"{_EVALUATOR}.run"),
+    "replay": Command("whether recorded actions still lead to the recorded episodes", "gpusimbench.replay.cli"),
     "check": Command("whether recordings are whole and follow the rules", f"{_EVALUATOR}.check"),
     "audit": Command("check recordings and run them again on this machine", f"{_EVALUATOR}.audit"),
     "info": Command("what a recording is", f"{_EVALUATOR}.info"),

@@ -1,0 +1,1 @@
+"""gsb-replay: episodes of a recording beside the same episodes, replayed."""

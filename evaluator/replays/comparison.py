@@ -1,0 +1,121 @@
+"""All episodes of a recording beside those of its replay."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from gpusimbench.evaluator.diff.result import Setting
+from gpusimbench.evaluator.diff.settings import differing_settings
+from gpusimbench.evaluator.episodes.success import At, successes
+from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes
+from gpusimbench.evaluator.read.episodes import Episode, episodes
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.replays.verdict import Judged, Verdict, judge
+from gpusimbench.evaluator.statistics.rates import wilson
+from gpusimbench.schemas.errors import NothingComparable
+
+_CAUSES = ("options.", "version", "dt", "software.", "host.cpu", "gpu")
+_NO_CAUSES = (
+    "options.infos",
+    "options.seeds",
+    "options.autoreset_mode",
+    "options.source",
+    "options.vectorization",
+    "software.recorder",
+    "software.packages.gpusimbench",
+)
+
+
+@dataclass(frozen=True)
+class Share:
+    """How many episodes have a verdict, and their share with Wilson's 95 % interval."""
+
+    verdict: Verdict
+    episodes: int
+    share: float
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A recording and its replay.
+
+    original, replay  names of the files
+    task       what was recorded
+    episodes   in order of environments
+    shares     of every verdict
+    began_otherwise  episodes that were replayed, and whose first observations differ: there the environment, or its
+                     seed, is another, and not its answers to actions
+    settings   what may be the reason: versions, options and machine that the two files name differently
+    """
+
+    original: str
+    replay: str
+    task: str
+    episodes: tuple[Judged, ...]
+    shares: tuple[Share, ...]
+    began_otherwise: int
+    settings: tuple[Setting, ...]
+
+    def count(self, verdict: Verdict) -> int:
+        """Episodes with that verdict."""
+        return sum(one.verdict is verdict for one in self.episodes)
+
+
+def compare(original: Recording, replay: Recording, *, success: str | None, at: At, tolerance: float) -> Compared:
+    """Judge every episode of the original; see verdict.judge.
+
+    success  name of the flag that says whether an episode succeeded; None where none is asked for
+
+    NothingComparable where the original has no episodes.
+    """
+    if not has_episodes(original):
+        raise NothingComparable(f"{original.path} has no episodes: gpusimbench.wrap records them")
+    flags = [_successes(one, success, at) for one in (original, replay)] if success else []
+    judged = []
+    of_replay = _by_env(replay)
+    number, replayed = next(of_replay, (-1, []))
+    for env, group in _by_env(original):
+        while -1 < number < env:
+            number, replayed = next(of_replay, (-1, []))
+        there = {one.number: one for one in replayed} if number == env else {}
+        for episode in group:
+            other = there.get(episode.number)
+            key = (env, episode.number)
+            of_both = (flags[0][key], flags[1][key]) if flags and other is not None else None
+            judged.append(judge(episode, other, of_both, tolerance))
+    if not judged:
+        raise NothingComparable(f"{original.path} has no episode with a step")
+    counts = Counter(one.verdict for one in judged)
+    n = len(judged)
+    return Compared(
+        original=str(original.path),
+        replay=str(replay.path),
+        task=original.configuration.scene,
+        episodes=tuple(judged),
+        shares=tuple(
+            Share(verdict, counts[verdict], counts[verdict] / n, wilson(counts[verdict], n)) for verdict in Verdict
+        ),
+        began_otherwise=sum(one.verdict is not Verdict.ABSENT and not one.began_alike for one in judged),
+        settings=tuple(
+            one
+            for one in differing_settings(original, replay)
+            if one.name.startswith(_CAUSES) and not one.name.startswith(_NO_CAUSES)
+        ),
+    )
+
+
+def _by_env(recording: Recording) -> Iterator[tuple[int, list[Episode]]]:
+    for env, group in groupby(episodes(recording), key=lambda episode: episode.env):
+        yield env, list(group)
+
+
+def _successes(recording: Recording, name: str, at: At) -> dict[tuple[int, int], bool]:
+    table = episode_table(recording)
+    found = successes(recording, table, np.arange(len(table.env)), name, at)
+    return dict(zip(zip(table.env.tolist(), table.number.tolist(), strict=True), found.tolist(), strict=True))

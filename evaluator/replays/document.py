@@ -1,0 +1,151 @@
+"""What gsb-replay says: the verdict, how many episodes have which, and each episode; and the same as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gpusimbench.evaluator.diff.verdict import apart, place_of
+from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.replays.comparison import Compared, Share
+from gpusimbench.evaluator.replays.verdict import Judged, Verdict
+
+SCHEMA_VERSION = 1
+
+_SHOWN = 12
+_SETTINGS = 8
+_COLUMNS = (
+    "env",
+    "episode",
+    "verdict",
+    "steps",
+    "return",
+    "return, replay",
+    "bits differ",
+    "largest",
+    "outcome leaves",
+)
+_TONES = {Verdict.IDENTICAL: Tone.GOOD, Verdict.SAME: Tone.PLAIN, Verdict.OTHER: Tone.BAD, Verdict.ABSENT: Tone.WARNING}
+_WORST = (Verdict.ABSENT, Verdict.OTHER, Verdict.SAME, Verdict.IDENTICAL)
+
+
+def replay_document(found: Compared, *, every: bool = False) -> Document:
+    """The verdict and what it rests on.
+
+    every  whether all episodes are listed; else the worst
+    """
+    blocks: list[Block] = [Text(verdict(found), _tone(found))]
+    blocks.append(
+        facts(
+            ("original", Cell(found.original, code=True)),
+            ("replay", Cell(found.replay, code=True)),
+            ("task", found.task),
+            *([("first", first_words(found))] if first_words(found) else []),
+        )
+    )
+    blocks.append(table("verdicts", "", ("", "episodes", "share", "95 %"), [_share(one) for one in found.shares]))
+    ordered = sorted(found.episodes, key=lambda one: _WORST.index(one.verdict))
+    shown = found.episodes if every else ordered[:_SHOWN]
+    blocks.append(table("episodes", "", _COLUMNS, [_row(one) for one in shown]).without_empty_columns())
+    if left := len(found.episodes) - len(shown):
+        blocks.append(Text(f"{plural(left, 'more episode')}: --all shows them", Tone.QUIET))
+    if told := list(warnings(found)):
+        blocks.append(items(*told, tone=Tone.WARNING))
+    if found.settings and found.count(Verdict.IDENTICAL) < len(found.episodes):
+        told = [f"{one.name}: {one.a}, in the replay {one.b}" for one in found.settings[:_SETTINGS]]
+        if more := len(found.settings) - _SETTINGS:
+            told += [f"{more} more: gsb-diff shows them"] if more > 0 else []
+        blocks += [Text("What is not the same:"), items(*told)]
+    return Document("", tuple(blocks))
+
+
+def dump_json(found: Compared) -> str:
+    """The document that ``gsb-replay --json`` writes."""
+    record = values_of(found)
+    return dump({"schema_version": SCHEMA_VERSION, **record, "warnings": list(warnings(found))})
+
+
+def verdict(found: Compared) -> str:
+    """In a sentence."""
+    n, counts = len(found.episodes), {one.verdict: one.episodes for one in found.shares}
+    if counts[Verdict.IDENTICAL] == n:
+        return f"{_all(n)} bit for bit."
+    if not counts[Verdict.OTHER] and not counts[Verdict.ABSENT]:
+        return f"{_all(n)} with the same outcome; {counts[Verdict.SAME]} with other bits."
+    other = [f"{counts[one]} {words}" for one, words in _WORDS.items() if counts[one]]
+    return f"Of {plural(n, 'episode')}, {' and '.join(other)}."
+
+
+_WORDS = {Verdict.OTHER: "end with another outcome in the replay", Verdict.ABSENT: "could not be replayed"}
+
+
+def _all(n: int) -> str:
+    return f"All {n} episodes replay" if n > 1 else "The episode replays"
+
+
+def first_words(found: Compared) -> str:
+    """Where bits differ first, of the episode in which that is earliest; empty where they do not."""
+    apart_at = [one for one in found.episodes if one.first is not None]
+    if not apart_at:
+        return ""
+    one = min(apart_at, key=lambda judged: judged.first.step if judged.first else 0)
+    assert one.first is not None
+    return (
+        f"step {one.first.step} of episode {one.number} of env {one.env}: {place_of(one.first.number)}: "
+        f"{apart(one.first.number)}"
+    )
+
+
+def warnings(found: Compared) -> Iterator[str]:
+    """What a reader of the verdict must know, a sentence each."""
+    if found.began_otherwise:
+        yield (
+            f"{plural(found.began_otherwise, 'episode')} began with another observation: the environment, its seed or "
+            "its random numbers differ before any action, so that the actions cannot lead to the same states"
+        )
+    if names := dict.fromkeys(name for one in found.episodes for name in one.rounded):
+        yield f"compared in float32, since one of the files holds no more digits: {', '.join(names)}"
+    for text in dict.fromkeys(text for one in found.episodes for text in one.not_compared):
+        yield f"not compared: {text}"
+
+
+def _tone(found: Compared) -> Tone:
+    return _TONES[min((one.verdict for one in found.episodes), key=_WORST.index)]
+
+
+def _share(of: Share) -> list[Cell | str]:
+    low, high = (f"{100 * end:.1f} %" for end in of.ci95)
+    return [of.verdict.value, str(of.episodes), f"{100 * of.share:.1f} %", f"[{low}, {high}]"]
+
+
+def _row(of: Judged) -> list[Cell | str]:
+    steps = str(of.steps[0]) if of.steps[0] == of.steps[1] else f"{of.steps[0]}, replay {of.steps[1]}"
+    first = NONE
+    if of.first is not None:
+        first = f"step {of.first.step}: {place_of(of.first.number)}, {apart(of.first.number)}"
+    largest = NONE
+    if of.largest is not None and of.largest.distance:
+        largest = f"{of.largest.distance:.3g} at step {of.largest.step}"
+    return [
+        str(of.env),
+        str(of.number),
+        Cell(of.verdict.value, tone=_TONES[of.verdict]),
+        steps,
+        f"{of.returns[0]:.6g}",
+        NONE if of.verdict is Verdict.ABSENT else f"{of.returns[1]:.6g}",
+        first,
+        largest,
+        _left(of),
+    ]
+
+
+def _left(of: Judged) -> str:
+    if of.left_at is None:
+        return NONE
+    told = [f"step {of.left_at}"]
+    if of.ends[0] != of.ends[1]:
+        told.append(f"{of.ends[0]}, replay {of.ends[1]}")
+    if of.success is not None and of.success[0] != of.success[1]:
+        told.append("succeeded, replay failed" if of.success[0] else "failed, replay succeeded")
+    return "; ".join(told)

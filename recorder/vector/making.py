@@ -1,0 +1,57 @@
+"""Vector environments, made again: of Gymnasium's registry, or by a function that the user names."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+
+from gpusimbench.recorder.vector.starts import Started
+from gpusimbench.schemas.errors import UsageError
+
+
+def registered(spec_id: str, keywords: Mapping[str, Any], n_env: int, *, vectorization: str = "sync") -> Any:
+    """Environments of Gymnasium's registry, in this process, whose user resets them where they can be made so.
+
+    vectorization  "vector_entry_point" for tasks that have a vector environment of their own, which resets itself
+
+    UsageError where Gymnasium cannot make them.
+    """
+    own = vectorization == "vector_entry_point"
+    disabled = {
+        "vector_kwargs": {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED},
+        "wrappers": [Started],
+    }
+    try:
+        return gymnasium.make_vec(
+            spec_id,
+            num_envs=n_env,
+            vectorization_mode="vector_entry_point" if own else "sync",
+            **({} if own else disabled),
+            **keywords,
+        )
+    except Exception as error:  # of a task's own kind, such as a keyword that it does not know
+        raise UsageError(f"{spec_id} cannot be made: {type(error).__name__}: {error}") from None
+
+
+def of_factory(name: str, n_env: int) -> Any:
+    """What a function of the user's makes.
+
+    name  "module:function", in the present folder or installed; the function takes the number of environments
+
+    UsageError where there is no such function, or it fails.
+    """
+    module, _, function = name.partition(":")
+    if not module or not function:
+        raise UsageError(f"--make takes MODULE:FUNCTION, not '{name}'")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # last, so that no file there hides a package
+    try:
+        return getattr(import_module(module), function)(n_env)
+    except Exception as error:
+        raise UsageError(f"--make {name} failed: {type(error).__name__}: {error}") from error

@@ -1,0 +1,157 @@
+"""Recorded actions, fed to a vector environment open loop and recorded again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.recorder.vector.fields import field_of
+from gpusimbench.recorder.vector.modes import Mode, mode_of
+from gpusimbench.recorder.vector.starts import State, begin_at
+from gpusimbench.recorder.vector.wrap import wrap
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.trees import leaves, mapped
+
+ACTION = "action"
+
+
+@dataclass(frozen=True)
+class Part:
+    """What an environment is fed in one episode.
+
+    actions  by the name of the array in a recording, [step, ...], in the dtype that the environment was given
+    seed     of the reset that begins it; None: the environment goes on with its random numbers
+    state    MuJoCo's qpos and qvel with which it begins, by name; None: the reset decides
+    """
+
+    actions: Mapping[str, NDArray[Any]]
+    seed: int | None = None
+    state: State | None = None
+
+    def __len__(self) -> int:
+        return len(next(iter(self.actions.values()), ()))
+
+
+@dataclass
+class _Place:
+    """Where an environment is: which part, and how many of its actions were fed."""
+
+    parts: Sequence[Part]
+    part: int = 0
+    step: int = 0
+    ended: bool = False
+    last: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    @property
+    def over(self) -> bool:
+        return self.ended or self.part >= len(self.parts) or self.step >= len(self.parts[self.part])
+
+    @property
+    def next(self) -> Part | None:
+        return self.parts[self.part] if self.part < len(self.parts) else None
+
+    def take(self) -> dict[str, NDArray[Any]]:
+        """The next action; where none is left, the last again."""
+        if not self.over:
+            self.last = {name: array[self.step] for name, array in self.parts[self.part].actions.items()}
+            self.step += 1
+        return self.last
+
+    def begin(self) -> None:
+        """The next episode."""
+        self.part, self.step, self.ended = self.part + 1, 0, False
+
+
+def replay(
+    envs: Any, path: Path, parts: Sequence[Sequence[Part]], *, seed: Any, infos: Sequence[str] = (), dt: float
+) -> None:
+    """Reset an environment, feed it the actions of every episode in order, and record what it does.
+
+    envs   a vector environment of as many environments as there are sequences; it is closed afterwards
+    path   of the recording, as of wrap
+    parts  the episodes of each environment, [env][episode]
+    seed   of the first reset: a number, one for each environment, or None
+    infos  as of wrap
+    dt     as of wrap [s]; physics is recorded where parts begin in states
+
+    An environment whose episode ends earlier than its actions goes on with its next episode. With the autoreset mode
+    Disabled, one whose episode has not ended after its last action is reset; in other modes it is fed the last action
+    again, and has no further episodes. UsageError where the environment takes other actions.
+    """
+    mode = mode_of(envs)
+    if envs.num_envs != len(parts):
+        envs.close()
+        raise UsageError(f"the environment has {envs.num_envs} environments, and the recording {len(parts)}")
+    between = 1 if mode is Mode.NEXT_STEP else 0  # calls that begin an episode
+    steps = max(sum(len(part) + between for part in of_env) - between for of_env in parts)
+    places = [_Place(of_env) for of_env in parts]
+    spare = next(of_env[0] for of_env in parts if of_env)
+    for place in places:
+        place.last = {name: array[0] for name, array in spare.actions.items()}
+    physics = any(part.state is not None for of_env in parts for part in of_env)
+    with wrap(envs, path, steps=steps, dt=dt, infos=infos, physics=physics) as recorded:
+        form = _Form(recorded.action_space)
+        begin_at(envs, _starts(places))
+        recorded.reset(seed=seed)
+        for step in range(1, steps + 1):
+            ended = np.array([place.ended for place in places])
+            rows = [place.last if place.ended else place.take() for place in places]
+            _, _, terminated, truncated, _ = recorded.step(form.filled(rows))
+            if mode is Mode.NEXT_STEP:
+                for place in (place for place, over in zip(places, ended, strict=True) if over):
+                    place.begin()
+            done = (np.asarray(terminated) | np.asarray(truncated)) & ~ended
+            for place, over in zip(places, done, strict=True):
+                place.ended = bool(over)
+            if mode is Mode.SAME_STEP:
+                for place in (place for place in places if place.ended):
+                    place.begin()
+            if mode is Mode.DISABLED and step < steps:
+                _reset(recorded, places)
+
+
+def _reset(envs: Any, places: Sequence[_Place]) -> None:
+    mask = np.array([place.over for place in places])
+    if not mask.any():
+        return
+    for place in (place for place, over in zip(places, mask, strict=True) if over):
+        place.begin()
+    seeds = [place.next.seed if over and place.next else None for place, over in zip(places, mask, strict=True)]
+    begin_at(envs, {env: state for env, state in _starts(places).items() if mask[env]})
+    seeded = any(seed is not None for seed in seeds)
+    envs.reset(options={"reset_mask": mask}, **({"seed": seeds} if seeded else {}))
+
+
+def _starts(places: Sequence[_Place]) -> dict[int, State]:
+    return {env: place.next.state for env, place in enumerate(places) if place.next and place.next.state is not None}
+
+
+class _Form:
+    """How an environment takes actions: arrays in the order of its action space, nested as that is."""
+
+    def __init__(self, space: Any) -> None:
+        self._sample = space.sample()
+        self._leaves = [
+            (field_of(name, np.asarray(value).dtype, np.shape(value)[1:]).field, np.shape(value)[1:])
+            for name, value in leaves(self._sample, ACTION)
+        ]
+
+    def filled(self, rows: Sequence[Mapping[str, NDArray[Any]]]) -> Any:
+        """Actions of one step, from those of each environment by name."""
+        arrays = []
+        for name, shape in self._leaves:
+            if name not in rows[0]:
+                raise UsageError(f"the environment takes {name}, and recorded were {', '.join(rows[0]) or 'none'}")
+            found = np.stack([row[name] for row in rows])
+            if found[0].size != int(np.prod(shape)):
+                raise UsageError(
+                    f"the environment takes {name} of shape {shape}, and {found[0].size} numbers were recorded"
+                )
+            arrays.append(found.reshape(len(rows), *shape))
+        remaining = iter(arrays)
+        return mapped(lambda _: next(remaining), self._sample)

@@ -1,0 +1,12 @@
+"""Names by which the recorder writes, and the evaluator reads, what recordings of vector environments have."""
+
+from __future__ import annotations
+
+FINAL_GIVEN = "final_observation_given"
+"""The array that is 0 where the last observation of an episode is not known: in recordings made of some data sets."""
+
+PHYSICS = "physics_"
+"""Begins the names of the arrays of MuJoCo's qpos and qvel, of each row's observation."""
+
+SEEDS = "episode_seeds.json"
+"""The attachment with the seed of each episode's reset, [env][episode], null where none is known."""

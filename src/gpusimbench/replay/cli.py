@@ -1,0 +1,193 @@
+"""gsb-replay: do the recorded actions still lead to the recorded episodes?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, verified, write_json
+from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.parser import Parser
+from gpusimbench.schemas.progress import stage
+from gpusimbench.schemas.text import line, show
+
+if TYPE_CHECKING:
+    from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.evaluator.replays.comparison import Compared
+
+_REQUIRED = ("bit-identical", "same-outcome")
+
+_EPILOG = """\
+The recorded actions are fed, open loop, to an environment that is made again and reset with the recorded seeds; what it
+does is recorded, and compared episode by episode. Recordings are those of gpusimbench.wrap. gsb-audit replays those of
+gsb-record. A data set in HDF5 becomes a recording first, NAME.mcap in the present folder.
+
+Code runs only if you have it installed or name it: from a file come the id of Gymnasium's registry and keywords that
+are no paths, and --make imports your own module.
+
+verdicts, strongest first:
+  bit-identical   every observation and reward has the same bits, and the episode ends at the same step
+  same outcome    bits differ; length, end, success and, within --tolerance, the return are the same
+  other outcome   one of these differs
+  not replayed    the replay has no such episode
+
+exit codes:
+  0  every episode has the verdict of --require, or a stronger one
+  1  the environment failed while it was stepped, or the results cannot be written
+  2  wrong usage, or the environment cannot be made
+  3  a recording is damaged
+  4  an episode has a weaker verdict
+  5  there are no episodes to replay
+
+examples:
+  gsb-replay demos.mcap
+  gsb-replay demos.mcap --set frame_skip=4 --require same-outcome
+  gsb-replay hopper_medium-v2.hdf5 --env Hopper-v5 --episodes 100
+  gsb-replay demos.mcap --make my_task:make --success success
+  gsb-replay demos.mcap --against replay-of-another-machine.mcap --json -
+"""
+
+
+def parser() -> Parser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-replay",
+        "Feed recorded actions to an environment that is made again, and say for every episode whether it replays bit "
+        "for bit, with the same outcome, or with another one, and where it leaves the original.",
+        _EPILOG,
+    )
+    p.add_argument(
+        "file", type=place, metavar="FILE",
+        help="recording (.mcap) of gpusimbench.wrap, D4RL file (.hdf5), or folder of a Minari data set",
+    )  # fmt: skip
+    how = p.add_mutually_exclusive_group()
+    how.add_argument("--env", metavar="ID", help="environment of Gymnasium's registry (default: the recorded one)")
+    how.add_argument(
+        "--make", metavar="MODULE:FUNCTION", help="function that takes a number of environments and returns a VectorEnv"
+    )
+    how.add_argument(
+        "--against", type=place, metavar="FILE", help="compare with this recording of a replay, and replay nothing"
+    )
+    p.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", dest="keywords",
+        help="keyword of the environment, instead of the recorded one; repeatable",
+    )  # fmt: skip
+    p.add_argument(
+        "--out", type=local_path, metavar="FILE", help="recording of the replay (default: FILE-replay.mcap, here)"
+    )
+    p.add_argument("--episodes", type=int, metavar="N", help="only the first N episodes of a data set (default: all)")
+    p.add_argument("--success", metavar="NAME", help="info that says whether an episode succeeded (default: success)")
+    p.add_argument(
+        "--success-at", choices=("last", "any"), default="last",
+        help="whether it counts at the last step of an episode, or at any (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument(
+        "--tolerance", type=float, default=0.01, metavar="SHARE",
+        help="distance up to which returns are the same, as a share of the sum of absolute rewards "
+        "(default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument(
+        "--require", choices=_REQUIRED, default=_REQUIRED[0],
+        help="weakest verdict that ends with exit code 0 (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument("--all", action="store_true", help="list every episode")
+    add_json(p, "result")
+    p.show_first(
+        "--env", "--make", "--against", "--set", "--out", "--episodes", "--success", "--require", "--all", "--json"
+    )
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Replay, compare and print; returns the exit code."""
+    from gpusimbench.evaluator.episodes.success import At
+    from gpusimbench.evaluator.render.terminal import print_document
+    from gpusimbench.evaluator.replays.comparison import compare
+    from gpusimbench.evaluator.replays.document import dump_json, replay_document
+    from gpusimbench.recorder.demonstrations.hdf5 import file_of
+    from gpusimbench.replay.dataset import converted
+    from gpusimbench.replay.parts import infos_of
+
+    check_target(arguments.json)
+    source = file_of(arguments.file) if isinstance(arguments.file, Path) else None
+    if not 0 <= arguments.tolerance < float("inf"):
+        raise UsageError(f"--tolerance is a share of at least 0, not {arguments.tolerance}")
+    if arguments.against and (arguments.keywords or arguments.out):
+        raise UsageError("--against replays nothing: --set and --out have no use")
+    if arguments.episodes is not None and source is None:
+        raise UsageError("--episodes is of data sets in HDF5; of a recording, all episodes are replayed")
+    if arguments.make and arguments.keywords:
+        raise UsageError("--set is of environments of Gymnasium's registry: put it into the function of --make")
+    (original,) = verified([arguments.file if source is None else converted(source, arguments)])
+    success = arguments.success or ("success" if "success" in infos_of(original) else None)
+    made = arguments.against or place(str(_replayed(original, arguments)))
+    (replay,) = verified([made])
+    with stage("comparing episodes"):
+        found = compare(original, replay, success=success, at=At(arguments.success_at), tolerance=arguments.tolerance)
+    if arguments.json:
+        write_json(arguments.json, dump_json(found))
+    if arguments.json != "-":
+        print_document(replay_document(found, every=arguments.all), sys.stdout)
+    return int(_exit_code(found, arguments.require))
+
+
+def _replayed(original: Recording, arguments: argparse.Namespace) -> Path:
+    from gpusimbench.replay.dataset import require_gymnasium
+    from gpusimbench.replay.origin import given, origin_of
+    from gpusimbench.replay.parts import infos_of, parts_of, seed_of
+
+    require_gymnasium()
+    from gpusimbench.recorder.vector.making import of_factory, registered
+    from gpusimbench.recorder.vector.open_loop import replay
+
+    path = _target(original, arguments.out)
+    parts, n_env = parts_of(original), original.configuration.n_env
+    if arguments.make:
+        _say(f"replaying in what {arguments.make} makes")
+        envs = of_factory(arguments.make, n_env)
+    else:
+        origin = origin_of(original, arguments.env, given(arguments.keywords))
+        words = ", ".join(f"{name}={value!r}" for name, value in origin.keywords.items())
+        _say(f"replaying in {n_env} environments {origin.spec_id}({words})")
+        envs = registered(origin.spec_id, origin.keywords, n_env, vectorization=origin.vectorization)
+    with stage("replaying episodes"):
+        try:
+            replay(envs, path, parts, seed=seed_of(original), infos=infos_of(original), dt=original.configuration.dt)
+        except GsbError:
+            raise
+        except Exception as error:  # of the environment, whatever its kind
+            raise GsbError(f"the environment failed: {type(error).__name__}: {error}") from error
+    return path
+
+
+def _target(original: Recording, named: Path | None) -> Path:
+    """Where the replay is recorded; UsageError where a file is there."""
+    path = named or Path(f"{Path(str(original.path)).name.removesuffix('.mcap')}-replay.mcap")
+    if path.exists():
+        raise UsageError(f"{path} exists: name another file with --out")
+    return path
+
+
+def _exit_code(found: Compared, required: str) -> ExitCode:
+    from gpusimbench.evaluator.replays.verdict import Verdict
+
+    allowed = [Verdict.IDENTICAL, *([Verdict.SAME] if required == _REQUIRED[1] else [])]
+    met = all(one.verdict in allowed for one in found.episodes)
+    return ExitCode.OK if met else ExitCode.GATE_FAILED
+
+
+def _say(said: str) -> None:
+    show(line(said), error=True)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-replay."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,91 @@
+"""What each environment of a recording is fed: actions, seeds, states."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+
+from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes, rows_of
+from gpusimbench.evaluator.read.episodes import episodes
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.recorder.vector.infos import GIVEN
+from gpusimbench.recorder.vector.open_loop import ACTION, Part
+from gpusimbench.recorder.vector.starts import State
+from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
+from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.vector import PHYSICS, SEEDS
+
+_FROM = re.compile(r"recorded from (bool|u?int(?:8|16|32|64)|float16)\b")
+_INFO = "info_"
+
+
+def seed_of(recording: Recording) -> Any:
+    """Of the first reset: a number, one of each environment, or None where none was given."""
+    if own := _seeds(recording):
+        return [own.get((env, 0)) for env in range(recording.configuration.n_env)]
+    told = recording.configuration.options.get("seeds")
+    if told is None:
+        return recording.configuration.seed
+    words = told.split(", ")
+    if len(words) != recording.configuration.n_env or not all(re.fullmatch(r"\d{1,19}|None", word) for word in words):
+        return None
+    return [None if word == "None" else int(word) for word in words]
+
+
+def infos_of(recording: Recording) -> tuple[str, ...]:
+    """Names of the infos that were recorded."""
+    if told := recording.configuration.options.get("infos"):
+        return tuple(told.split(", "))
+    names = [one.field for one in recording.fields if one.group == ENV and one.field.startswith(_INFO)]
+    return tuple(name.removeprefix(_INFO) for name in names if not name.endswith(GIVEN))
+
+
+def parts_of(recording: Recording) -> list[list[Part]]:
+    """What each environment is fed, [env][episode]; NothingComparable where there are no episodes."""
+    if not has_episodes(recording):
+        raise NothingComparable(
+            f"{recording.path} has no episodes: gpusimbench.wrap records them; gsb-audit replays runs of gsb-record"
+        )
+    dtypes = {
+        one.field: np.dtype(found.group(1) if (found := _FROM.search(one.note)) else one.dtype)
+        for one in recording.fields
+        if one.group == ENV and one.field.startswith(ACTION)
+    }
+    seeds, states = _seeds(recording), _states(recording)
+    parts: list[list[Part]] = [[] for _ in range(recording.configuration.n_env)]
+    for episode in episodes(recording):
+        env, number = episode.env, episode.number
+        if number != len(parts[env]):
+            raise NothingComparable(f"{recording.path}: episodes of environment {env} are missing")
+        actions = {name: array.astype(dtypes[name]) for name, array in episode.actions.items()}
+        parts[env].append(Part(actions, seeds.get((env, number)), states.get((env, number))))
+    return parts
+
+
+def _seeds(recording: Recording) -> dict[tuple[int, int], int]:
+    """Of episodes whose reset had a seed of its own, by environment and number."""
+    text = recording.attachment(SEEDS)
+    try:
+        told = [] if text is None else json.loads(text)
+        found = {(env, number): seed for env, of_env in enumerate(told) for number, seed in enumerate(of_env)}
+    except (ValueError, TypeError, RecursionError):
+        found = {(0, 0): "no JSON"}
+    if not all(seed is None or (type(seed) is int and seed >= 0) for seed in found.values()):
+        raise DamagedRecording(f"{recording.path}: {SEEDS} has something else than seeds")
+    return {key: seed for key, seed in found.items() if seed is not None}
+
+
+def _states(recording: Recording) -> dict[tuple[int, int], State]:
+    """MuJoCo's state at the first observation of each episode, where the recording has it."""
+    names = {field.field for field in recording.fields if field.group == ENV}
+    if not {f"{PHYSICS}qpos", f"{PHYSICS}qvel"} <= names:
+        return {}
+    table = episode_table(recording)
+    rows = rows_of(recording, (f"{PHYSICS}qpos", f"{PHYSICS}qvel"), table.env, table.first_row)
+    return {
+        (int(env), int(number)): {name.removeprefix(PHYSICS): array[i] for name, array in rows.items()}
+        for i, (env, number) in enumerate(zip(table.env, table.number, strict=True))
+    }
