@@ -188,6 +188,17 @@ class TestJax:
         assert counted["constraint_rows"].tolist() == [4 * contacts]
         assert counted["candidate_pairs"].tolist() == [3]
 
+    def test_limits_that_mjx_reads_otherwise_are_refused(self) -> None:
+        """Refuse a model whose limits stand behind an array of numbers, where MJX takes the array's for them."""
+        import mujoco
+
+        from gpusimbench.recorder.simulators.mjx.caps import Caps, check_read
+
+        numbers = '<numeric name="start" data="0 0 0"/><numeric name="max_geom_pairs" data="7"/>'
+        model = mujoco.MjModel.from_xml_string(f"<mujoco><custom>{numbers}</custom></mujoco>")
+        with pytest.raises(Refused, match="max_geom_pairs = 0 from the model, which says 7"):
+            check_read(model, Caps(7, 7, ()))
+
     def test_a_dropped_pair_is_one_of_the_candidates(self) -> None:
         """Count overlapping bounding spheres as MJX orders pairs by them."""
         import jax.numpy as jnp

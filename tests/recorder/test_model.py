@@ -309,6 +309,36 @@ def test_a_model_named_like_a_scene(tmp_path: Path) -> None:
     assert open_recording(made).configuration.scene == "franka-model"
 
 
+_OWN_NUMBERS = """
+<mujoco>
+  <custom><numeric name="start" data="0 0 0"/><numeric name="max_contact_points" data="1"/></custom>
+  <worldbody>
+    <geom type="plane" size="1 1 .1"/>
+    <body name="ball" pos="0 0 .12"><freejoint/><geom size=".1"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_numbers_of_an_engine_stand_before_those_of_a_model(tmp_path: Path) -> None:
+    """Put a limit where MJX looks for it: a model's own array of numbers before it took all contacts from the model."""
+    path = tmp_path / "own.xml"
+    path.write_text(_OWN_NUMBERS)
+    _, model = compiled(pack(path), {"max_geom_pairs": "3", "max_contact_points": "4"})
+    assert [model.numeric(i).name for i in range(model.nnumeric)] == ["max_geom_pairs", "max_contact_points", "start"]
+    assert model.numeric_data.tolist() == [3, 4, 0, 0, 0]
+    assert list(model.numeric_adr) == [0, 1, 2]
+
+
+def test_a_model_with_numbers_of_its_own_keeps_its_contacts(tmp_path: Path) -> None:
+    """Let a ball come to rest on a plane in MJX; it fell through."""
+    pytest.importorskip("mujoco.mjx")
+    path = tmp_path / "own.xml"
+    path.write_text(_OWN_NUMBERS)
+    found = open_recording(_record(tmp_path / "out", "--model", path, "--phases", "capture", sim="mjx"))
+    assert abs(found.state("bodies", "position")[-1, :, 0, 2] - 0.1).max() < 0.01
+
+
 @pytest.mark.parametrize("command", ["gsb-info", "gsb-check", "gsb-eval"])
 def test_what_is_said_of_it(command: str, recording: Path) -> None:
     """Inspect, check and evaluate a recording of a model."""

@@ -93,7 +93,8 @@ class ModelScene(Scene):
 def compiled(archive: bytes, numerics: Mapping[str, str] | None = None) -> tuple[str, Any]:
     """The name of a model's own file, and its files as a mujoco.MjModel.
 
-    numerics  custom numbers by name, which are added to those of the model
+    numerics  custom numbers by name, which stand before those of the model, and replace those of the same name: MJX
+              takes the place of a name for the place of its value, and the two differ behind an array of numbers
 
     UsageError with MuJoCo's message where it does not compile them, DamagedRecording where the archive is none.
     """
@@ -106,8 +107,14 @@ def compiled(archive: bytes, numerics: Mapping[str, str] | None = None) -> tuple
             if not numerics:
                 return main.name, mujoco.MjModel.from_xml_path(str(main))
             spec = mujoco.MjSpec.from_file(str(main))
+            own = [(one.name, list(one.data), one.size) for one in spec.numerics]
+            for one in list(spec.numerics):
+                spec.delete(one)
             for name, value in numerics.items():
                 spec.add_numeric(name=name, data=[float(value)], size=1)
+            for name, data, size in own:
+                if name not in numerics:
+                    spec.add_numeric(name=name, data=data, size=size)
             return main.name, spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             said = " ".join(str(error).replace(folder, "").split())

@@ -194,4 +194,6 @@ def _compile(simulator: Brax, options: BraxOptions) -> tuple[Any, Any]:
     }
     if options.restitution:
         numerics["elasticity"] = " ".join(map(repr, elasticity))
-    return compile_scene(scene, dt=dt, options=physics, numerics=numerics), caps
+    limited = compile_scene(scene, dt=dt, options=physics, numerics=numerics)
+    mjx_caps.check_read(limited.model, caps)
+    return limited, caps

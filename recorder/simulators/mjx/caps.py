@@ -27,6 +27,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.simulators.buffer_sizes import Need, measure
 from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
@@ -154,6 +155,18 @@ def _gaps(centres: Any, radii: NDArray[np.floating], pairs: NDArray[np.int64], n
     apart = centres[..., pairs[:, 1], :] - centres[..., pairs[:, 0], :]
     reach = radii[..., pairs[:, 0]] + radii[..., pairs[:, 1]]
     return numbers.linalg.norm(apart, axis=-1) - reach.astype(np.float32)
+
+
+def check_read(model: Any, caps: Caps) -> None:
+    """Refused where MJX reads other limits from a mujoco.MjModel than those that were written into it.
+
+    It would drop contacts, and no bit of the certificate would speak of it.
+    """
+    from mujoco.mjx._src import collision_driver
+
+    for name, asked in caps.numerics.items():
+        if (read := collision_driver._numeric(model, name)) != int(asked):
+            raise Refused(f"MJX reads {name} = {read} from the model, which says {asked}")
 
 
 class Certificate:

@@ -150,6 +150,7 @@ def load(
         varied=variation is not None,
     )
     limited = compile_scene(scene, dt=dt, options=physics, numerics=caps.numerics)
+    mjx_caps.check_read(limited.model, caps)
     models = compile_varied(scene, variation, n_env=n_env, dt=dt, options=physics, numerics=caps.numerics)
     varied = model_fields(limited.model, models)
     certificate = mjx_caps.Certificate(limited.model, caps, varied.get("geom_rbound"))
