@@ -14,6 +14,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of
 from gpusimbench.evaluator.runs.physics.facts import LawValues
 from gpusimbench.evaluator.runs.physics.world import Moving, world_of
+from gpusimbench.evaluator.statistics.cases import variation
 from gpusimbench.schemas import checks
 
 Array = npt.NDArray[np.float64]
@@ -69,7 +70,7 @@ def _ball(
         LawValues(
             f"{ball.name}_contact", f"first contact of the ball {drop}", "s",
             tuple(one.time for one in bounces), tuple(map(float, expected)), dt, "dt",
-            (("mass", 0.0), ("gravity", float(steeper.mean()))), _NO_BOUNCE,
+            (("mass", 0.0), ("gravity", float(steeper.mean()))), _NO_BOUNCE, (("gravity", variation(steeper)),),
         ),
         LawValues(
             f"{ball.name}_restitution", f"restitution of the ball {drop}", "",
