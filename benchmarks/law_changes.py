@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from gpusimbench import Scene
-from gpusimbench.recorder.scenes.base import IDENTITY, Body, Box, Link
+from gpusimbench.recorder.scenes.base import IDENTITY, Body, Link
 
 WHOLE = frozenset({"gravity", "restitution"})
 """Parameters that a scene has once, so that one recording has one change of them; restitution is that of all surfaces,
@@ -23,7 +23,7 @@ so that no rule of combining them matters."""
 POSITIVE = frozenset({"damping", "angular damping"})
 """Parameters that are zero in the scene and never negative."""
 
-BUILT = frozenset({"middle moment", "angular damping"})
+BUILT = frozenset({"middle moment", "angular damping", "centre of mass"})
 """Parameters that no scene says, in the model of MuJoCo C alone."""
 
 
@@ -32,8 +32,10 @@ class Change:
     """Of one parameter.
 
     parameter  as of LawValues.slopes
-    subject    name of the body, of the lane, or of the pendulum whose joints begin so; not looked at for WHOLE
-    size       what is added: a share of the parameter, N m s/rad of a joint, or 1/s of a body's angular damping
+    subject    name of the body, of the lane, or of the pendulum whose joints begin so; not looked at for WHOLE, nor for
+               "centre of mass", which is that of every body that moves
+    size       what is added: a share of the parameter, N m s/rad of a joint, 1/s of a body's angular damping, or metres
+               by which the centre of mass is moved toward +z of the body
     """
 
     parameter: str
@@ -88,6 +90,9 @@ def change_model(model: Any, changes: Sequence[Change]) -> None:
     for one in changes:
         if one.parameter not in BUILT:
             continue
+        if one.parameter == "centre of mass":
+            _shift(model, one.size)
+            continue
         body = int(model.body(one.subject).id)
         if not np.array_equal(model.body_iquat[body], IDENTITY):
             raise ValueError(f"the principal axes of {one.subject} are not those of its frame")
@@ -100,12 +105,10 @@ def change_model(model: Any, changes: Sequence[Change]) -> None:
     mujoco.mj_setConst(model, mujoco.MjData(model))  # the masses of simple joints are computed once
 
 
-def shift_centres(model: Any, scene: Scene, share: float) -> None:
-    """Move the centre of mass of every moving body toward the face +z, by a share of its half edge.
-
-    The moments of inertia stay those of the uniform body about the moved centre.
-    """
-    for body in scene.moving():
-        if not isinstance(body.shape, Box):
-            raise ValueError(f"{body.name} is no box")
-        model.body_ipos[model.body(body.name).id, 2] = share * body.shape.size[2] / 2.0
+def _shift(model: Any, by: float) -> None:
+    """Move shapes down instead of centres of mass up: MuJoCo's shortcuts for bodies whose frame is the inertial one are
+    compiled into the model."""
+    for geom in range(model.ngeom):
+        if model.body_dofnum[model.geom_bodyid[geom]]:
+            model.geom_pos[geom, 2] -= by
+            model.geom_sameframe[geom] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE

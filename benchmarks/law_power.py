@@ -18,18 +18,21 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from scipy import stats
 
 from benchmarks.law_changes import BUILT, POSITIVE, WHOLE, Change, change_model, changed_scene
 from gpusimbench import RecordingWriter, Scene, Simulator, open_recording
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.sections.canonical import size
 from gpusimbench.evaluator.results.canonical import Law, laws
-from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
+from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues, PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of
 from gpusimbench.recorder.run import initial
 from gpusimbench.recorder.scenes.registry import make_scene
@@ -37,9 +40,18 @@ from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.treatment import Initial
 
+M = TypeVar("M")
+
 N_ENV = 32
 BLOCK = 100
-SPREAD = {"pendulum": 0.8, "sliding-block": 0.8, "free-body": 0.8, "ball-drop": 0.5, "double-pendulum": 0.8}
+SPREAD = {
+    "pendulum": 0.8,
+    "sliding-block": 0.8,
+    "free-body": 0.8,
+    "ball-drop": 0.5,
+    "double-pendulum": 0.8,
+    "dice-drop": 0.8,
+}
 """Of --initial, by scene, as docs/physics.md records them."""
 
 
@@ -49,6 +61,7 @@ class Setting:
 
     options  of the simulator, as text
     seed     of the first recording; each has one of its own, upward from it
+    n_env    environments of each recording
     """
 
     simulator: str
@@ -57,6 +70,7 @@ class Setting:
     folder: Path
     options: Mapping[str, str] = field(default_factory=dict)
     seed: int = 1
+    n_env: int = N_ENV
 
 
 @dataclass
@@ -80,11 +94,11 @@ def made_of(setting: Setting, engines: Scene, seed: int, options: Mapping[str, s
     """The simulator, not built yet, of the scene that the engine is given."""
     adapter = find_simulator(setting.simulator).load()
     options = adapter.parsed(setting.simulator, engines, {**setting.options, **options})
-    return adapter(engines, n_env=N_ENV, dt=setting.dt, seed=seed, options=options)
+    return adapter(engines, n_env=setting.n_env, dt=setting.dt, seed=seed, options=options)
 
 
-def record(setting: Setting, changes: Sequence[Change], seed: int) -> tuple[LawValues, ...]:
-    """Records a scene of which the engine is given another version, and measures the laws of the recording."""
+def record(setting: Setting, changes: Sequence[Change], seed: int, measure: Callable[[Recording], M]) -> M:
+    """Records a scene of which the engine is given another version, and returns what is measured of the recording."""
     declared = make_scene(setting.scene)
     built = any(one.parameter in BUILT for one in changes)
     # a batch steps models of its own, mj_step the model that is changed; both give the same bits
@@ -100,20 +114,28 @@ def record(setting: Setting, changes: Sequence[Change], seed: int) -> tuple[LawV
         simulator.set_state(start)
         simulator.compile("capture")
         writer = RecordingWriter(
-            path, simulator=setting.simulator, version=made.version, scene=declared, n_env=N_ENV, dt=setting.dt,
+            path, simulator=setting.simulator, version=made.version, scene=declared, n_env=setting.n_env, dt=setting.dt,
             steps=steps, fields=made.fields, device=made.device, seed=seed, deviations=made.deviations, view=(),
         )  # fmt: skip
         with writer as log:
             log.append(*start)
             for first in range(0, steps, BLOCK):
                 log.append(*simulator.states(min(BLOCK, steps - first)))
-        return laws_of(open_recording(path))
+        return measure(open_recording(path))
     finally:
         simulator.close()
         path.unlink(missing_ok=True)
 
 
-def judged(values: tuple[LawValues, ...], scene: str) -> dict[str, Law]:
+def measured(setting: Setting, changes: Sequence[Change], seed: int) -> tuple[LawValues, ...]:
+    """The laws of a recording whose engine is given another version of the scene; TypeError where there are none."""
+    found = record(setting, changes, seed, laws_of)
+    if isinstance(found, Missing):
+        raise TypeError(found.reason)
+    return tuple(one for one in found if isinstance(one, LawValues))
+
+
+def judged(values: tuple[LawValues | LawCounts, ...] | Missing, scene: str) -> dict[str, Law]:
     """The laws of one recording, by key."""
     facts = PhysicsFacts(scene, N_ENV, ((0, N_ENV - 1),), {}, laws=values)
     return {law.key: law for law in laws("", [facts]) if isinstance(law, Law)}
@@ -132,8 +154,8 @@ def trials(setting: Setting, repetitions: int) -> dict[tuple[str, str], Counts]:
     seeds = iter(range(setting.seed, setting.seed + 1_000_000))
     for repetition in range(repetitions):
         sign = 1.0 if repetition % 2 else -1.0
-        before = record(setting, (), next(seeds))
-        again = record(setting, (), next(seeds))
+        before = measured(setting, (), next(seeds))
+        again = measured(setting, (), next(seeds))
         claimed: dict[str, dict[tuple[str, str], float]] = {"least": {}, "breaks": {}}
         by_key, again_by_key = ({law.key: law for law in of} for of in (before, again))
         for law in judged(before, setting.scene).values():
@@ -150,7 +172,7 @@ def trials(setting: Setting, repetitions: int) -> dict[tuple[str, str], Counts]:
         for claim, sizes in claimed.items():
             for keys in recorded_together(sizes):
                 changes = [change(key, sizes[key], sign) for key in keys]
-                after = record(setting, changes, next(seeds))
+                after = measured(setting, changes, next(seeds))
                 after_by_key = {law.key: law for law in after}
                 verdicts = judged(after, setting.scene)
                 for key in keys:

@@ -14,7 +14,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from benchmarks.law_changes import Change
-from benchmarks.law_power import Setting, record
+from benchmarks.law_power import Setting, measured
 from gpusimbench import open_recording
 from gpusimbench.evaluator.metrics.physics.bouncing import bounce
 from gpusimbench.evaluator.metrics.physics.closed_form import falling_time, rotation_period
@@ -223,7 +223,7 @@ def test_a_damping_adds_to_the_drift_as_claimed(integrator: str, tmp_path: Path)
     damping, found = 5e-4, []
     setting = Setting("mujoco", "free-body", 0.01, tmp_path, {"integrator": integrator})
     for changes in ((), [Change("angular damping", "middle", damping)]):
-        found.append({law.key: law for law in record(setting, changes, 1)})
+        found.append({law.key: law for law in measured(setting, changes, 1)})
     before, after = found
     slopes = {key: dict(before[key].slopes)["angular damping"] for key in ("middle_momentum", "middle_energy")}
     for key, slope in slopes.items():

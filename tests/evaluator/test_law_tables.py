@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.law_changes import Change, change_model, changed_scene
 from benchmarks.law_power import Setting, recorded_together, table, trials
+from benchmarks.loaded_dice import power, throw
+from gpusimbench.evaluator.statistics.counts import uniformity
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
@@ -166,3 +169,21 @@ def test_a_rate_far_from_its_claim_is_bold(tmp_path: Path) -> None:
     ]
     assert "73 of 80 pairs with a change were seen, and 33 of 40 verdicts broken" in shown
     assert "without a change 9 of 80 pairs differed. Bold: 2 of 5 rates" in shown
+
+
+def test_a_heavy_face_comes_to_lie_below(tmp_path: Path) -> None:
+    """See the face opposite to a heavy one on top in a third of the throws or more, and the law broken by it."""
+    setting = Setting("mujoco", "dice-drop", 0.01, tmp_path, n_env=16)
+    heavy = throw(setting, 0.5, 1)
+    assert sum(heavy.counts) > 150
+    assert heavy.counts[5] > sum(heavy.counts) / 3 > sum(heavy.counts) / 8 > heavy.counts[2]
+    assert not heavy.law.held
+
+
+def test_the_power_by_probabilities_is_that_of_the_claim() -> None:
+    """Give the size that the law claims the power that it claims it with, and equal faces its level."""
+    claim = uniformity([64] * 6, alpha=1e-3, power=0.95)
+    assert claim is not None
+    one = np.array([1.0 + claim.least] + [1.0 - claim.least / 5.0] * 5) / 6.0
+    assert power(one, 384, claim.critical) == pytest.approx(0.95, abs=1e-6)
+    assert power(np.full(6, 1.0 / 6.0), 384, claim.critical) == pytest.approx(1e-3, rel=1e-3)
