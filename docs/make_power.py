@@ -30,13 +30,12 @@ COUNTS: dict[str, tuple[str, ...]] = {
     "sliding-block-10ms": ("--scene", "sliding-block", "--dt", "0.01"),
     "sliding-block-4ms": ("--scene", "sliding-block", "--dt", "0.004"),
     "free-body-rk4": ("--scene", "free-body", *_RK4, "--dt", "0.02"),
-    "free-body": ("--scene", "free-body", "--dt", "0.01"),
-    "free-body-euler": ("--scene", "free-body", "--option", "integrator=Euler", "--dt", "0.01"),
+    "free-body": ("--scene", "free-body", "--dt", "0.02"),
     "ball-drop": ("--scene", "ball-drop", "--dt", "0.01,0.004"),
     "ball-drop-newton": ("--scene", "ball-drop", *_BOUNCING, "--dt", "0.01"),
     "double-pendulum-rk4": ("--scene", "double-pendulum", *_RK4, "--dt", "0.01"),
     "double-pendulum": ("--scene", "double-pendulum", "--dt", "0.004"),
-    "loaded-dice": ("--n-env", "32", "--shares", "0,0.15,0.22,0.28"),
+    "loaded-dice": ("--n-env", "16", "--shares", "0,0.3,0.38"),
 }
 """Arguments of benchmarks.law_power, and of benchmarks.loaded_dice, by the name of the file of their table."""
 

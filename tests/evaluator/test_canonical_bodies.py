@@ -21,6 +21,7 @@ from gpusimbench.evaluator.metrics.physics.closed_form import falling_time, rota
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.results.canonical import Law, laws
+from gpusimbench.evaluator.runs.physics.canonical.motion import unevenness
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 from tests.conftest import call
 
@@ -83,8 +84,17 @@ def test_runge_kutta_keeps_the_laws_of_free_bodies(turning: Path) -> None:
     assert set(found) == {f"{n}_{w}" for n in ("middle", "long", "short") for w in ("momentum", "energy", "period")}
     assert all(law["held"] and law["count"] == 6 for law in found.values())
     assert all(abs(law["difference"]) < 2e-5 for law in found.values())
-    least = {one["parameter"]: one["least"] for one in found["middle_period"]["sensitivities"]}
-    assert least["mass"] is None and 0 < least["middle moment"] < 1e-2
+    (mass, middle), (_, long) = (found[f"{name}_period"]["sensitivities"] for name in ("middle", "long"))
+    assert mass["least"] is None and 0 < middle["least"] < 1e-2
+    assert 0 < long["least"] < long["breaks"] < 1e-2
+    assert middle["breaks"] is None  # with another moment, some periods of the body that flips rise and others fall
+
+
+def test_a_change_that_moves_environments_both_ways_is_uneven_without_bound() -> None:
+    """Take the coefficient of variation where all move one way."""
+    assert unevenness(np.array([1.0, 2.0, 3.0])) == unevenness(-np.array([1.0, 2.0, 3.0])) == pytest.approx(0.5)
+    assert unevenness(np.array([2.0, 2.0])) == unevenness(np.array([2.0])) == unevenness(np.zeros(3)) == 0.0
+    assert math.isinf(unevenness(np.array([-0.1, 2.0, 3.0])))
 
 
 @pytest.mark.slow

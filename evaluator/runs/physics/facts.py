@@ -107,8 +107,8 @@ class LawValues:
                of the parameter ("mass", "middle moment", "friction", "restitution", "gravity"), or for 1 N m s/rad of a
                joint's ("damping") or 1/s of a body's ("angular damping"); 0 where it has no effect
     absent     why an environment has no value; empty where each has one
-    uneven     by parameter: the coefficient of variation of the derivative over environments, where it is another than
-               that of the predicted values
+    uneven     by parameter: how unevenly a change of it moves environments (unevenness in canonical/motion.py), where
+               that is more than the coefficient of variation of the predicted values
     """
 
     key: str

@@ -11,9 +11,8 @@ import numpy.typing as npt
 from gpusimbench.evaluator.metrics.physics.double_pendulum import DoublePendulum
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of
+from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of, unevenness
 from gpusimbench.evaluator.runs.physics.facts import LawValues
-from gpusimbench.evaluator.statistics.cases import variation
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 
@@ -63,7 +62,7 @@ def _energy(
         tuple(map(float, changed)), (0.0,) * len(changed), dt / window + float(fast * dt) ** 2,
         "dt / T + (omega dt)^2", (("mass", 0.0), ("damping", 0.0 if short else -float(lost.mean()))),
         f"less than {2.0 * window:.3g} s were recorded, or a pendulum starts at rest",
-        () if short else (("damping", variation(lost)),),
+        () if short else (("damping", unevenness(lost)),),
     )  # fmt: skip
 
 

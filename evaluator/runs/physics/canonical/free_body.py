@@ -11,9 +11,8 @@ from gpusimbench.evaluator.metrics.physics.closed_form import rotation_period
 from gpusimbench.evaluator.metrics.physics.solids import rotations
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of, cycles
+from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of, cycles, unevenness
 from gpusimbench.evaluator.runs.physics.facts import LawValues
-from gpusimbench.evaluator.statistics.cases import variation
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 
@@ -69,20 +68,20 @@ def _body(name: str, moments: Array, time: Array, turn: Array, spin: Array, dt: 
             f"{name}_momentum", f"change of the angular momentum of {name} in {whole:g} s, over it", "",
             tuple(map(float, turned)), none, step, "omega dt",
             (("mass", 0.0), ("angular damping", whole * float(along.mean()))),
-            "", (("angular damping", math.inf if over else variation(along)),),
+            "", (("angular damping", math.inf if over else unevenness(along)),),
         ),
         LawValues(
             f"{name}_energy", f"energy of {name} gained in {whole:g} s, over it", "",
             tuple(map(float, gained)), none, step, "omega dt",
             (("mass", 0.0), ("angular damping", -2.0 * whole * float(lost.mean()))),
-            "", (("angular damping", variation(lost)),),
+            "", (("angular damping", unevenness(lost)),),
         ),
         LawValues(
             f"{name}_period", f"period of the rotation of {name}", "s",
             tuple(period for period, _ in periods), tuple(map(float, predicted)),
             dt / fewest, "dt over the periods measured",
             (("mass", 0.0), ("middle moment", float(slope.mean()) if len(slope) else 0.0)),
-            "no whole period was recorded", (("middle moment", variation(slope)),),
+            "no whole period was recorded", (("middle moment", unevenness(slope)),),
         ),
     ]  # fmt: skip
 

@@ -10,9 +10,8 @@ import numpy.typing as npt
 from gpusimbench.evaluator.metrics.physics.closed_form import pendulum_period
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of
+from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of, unevenness
 from gpusimbench.evaluator.runs.physics.facts import LawValues
-from gpusimbench.evaluator.statistics.cases import variation
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 
@@ -54,7 +53,7 @@ def pendulum_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
             "energy_change", "energy of the last period above that of the first, over it", "",
             tuple(energies), (0.0,) * len(energies), (2.0 * math.pi * dt / small) ** 2, "(omega dt)^2",
             (("mass", 0.0), ("damping", -float(taken.mean()) if len(taken) else 0.0)), _NO_PERIOD,
-            (("damping", variation(taken)),),
+            (("damping", unevenness(taken)),),
         ),
     )  # fmt: skip
 
