@@ -11,7 +11,7 @@ Without a change, 5 % of the pairs differ by the test's construction, and no law
 breaks without any change claims no size for its verdict.
 
     python -m benchmarks.law_power [--sim NAME] [--option NAME=VALUE] [--scene NAME] [--dt S,S...] [--repetitions N]
-        [--seed FIRST] [--out FILE]
+        [--parameter NAME] [--seed FIRST] [--out FILE]
 """
 
 from __future__ import annotations
@@ -62,6 +62,7 @@ class Setting:
     options  of the simulator, as text
     seed     of the first recording; each has one of its own, upward from it
     n_env    environments of each recording
+    only     parameter whose claims are counted; "": of all
     """
 
     simulator: str
@@ -71,6 +72,7 @@ class Setting:
     options: Mapping[str, str] = field(default_factory=dict)
     seed: int = 1
     n_env: int = N_ENV
+    only: str = ""
 
 
 @dataclass
@@ -160,7 +162,7 @@ def trials(setting: Setting, repetitions: int) -> dict[tuple[str, str], Counts]:
         by_key, again_by_key = ({law.key: law for law in of} for of in (before, again))
         for law in judged(before, setting.scene).values():
             for one in law.sensitivities:
-                if one.least is not None:
+                if one.least is not None and setting.only in ("", one.parameter):
                     counts = found.setdefault((law.key, one.parameter), Counts(law, one.parameter))
                     claimed["least"][law.key, one.parameter] = one.least
                     counts.least.append(one.least)
@@ -244,6 +246,7 @@ def main() -> None:
     parser.add_argument("--option", action="append", default=[], metavar="NAME=VALUE", help="of the simulator")
     parser.add_argument("--scene", choices=SPREAD, action="append", help="default: pendulum and sliding-block")
     parser.add_argument("--dt", default="0.01,0.004", help="steps [s]")
+    parser.add_argument("--parameter", default="", help="count its claims alone")
     parser.add_argument("--repetitions", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1, help="of the first recording")
     parser.add_argument("--out", type=Path, help="file for the table, which docs/make_power.py puts into the page")
@@ -255,7 +258,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for dt in map(float, given.dt.split(",")):
             for scene in scenes:
-                setting = Setting(given.sim, scene, dt, Path(folder), options, given.seed)
+                setting = Setting(given.sim, scene, dt, Path(folder), options, given.seed, only=given.parameter)
                 rows = table(setting, given.repetitions)
                 print("\n".join(rows), flush=True)
                 lines += rows

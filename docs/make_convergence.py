@@ -8,6 +8,7 @@ has no row; an engine that refuses a scene has a row with its reason.
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -122,7 +123,8 @@ def record(folder: Path, chosen: Sequence[str]) -> None:
                 code, why = -1, f"no recording within {_TIME} s"
             print(f"{name}: exit code {code}", flush=True)
             if code:
-                refused.write_text(why.removeprefix("gsb-record: ") + "\n", encoding="utf-8")
+                reason = re.sub(r"^(gsb-record: |run 1/1 \w+ in [0-9.]+ s: )", "", why)
+                refused.write_text(reason + "\n", encoding="utf-8")
                 break
             refused.unlink(missing_ok=True)
 

@@ -32,7 +32,7 @@ COUNTS: dict[str, tuple[str, ...]] = {
     "free-body-rk4": ("--scene", "free-body", *_RK4, "--dt", "0.02"),
     "free-body": ("--scene", "free-body", "--dt", "0.02"),
     "ball-drop": ("--scene", "ball-drop", "--dt", "0.01,0.004"),
-    "ball-drop-newton": ("--scene", "ball-drop", *_BOUNCING, "--dt", "0.01"),
+    "ball-drop-newton": ("--scene", "ball-drop", *_BOUNCING, "--dt", "0.01", "--parameter", "restitution"),
     "double-pendulum-rk4": ("--scene", "double-pendulum", *_RK4, "--dt", "0.01"),
     "double-pendulum": ("--scene", "double-pendulum", "--dt", "0.004"),
     "loaded-dice": ("--n-env", "16", "--shares", "0,0.3,0.38"),

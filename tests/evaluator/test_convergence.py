@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,11 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.statistics.convergence import Order, fit_order
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from tests.conftest import recorded
+from tests.scripts import script
 
 _STEPS = np.array([0.04, 0.02, 0.01, 0.005])
 
@@ -146,3 +151,29 @@ def test_a_step_that_misses_the_time_is_left_out(pendulums: list[Path]) -> None:
     assert isinstance(one.found, Missing)
     assert any("0.04 s: 0.98 s is no whole number of steps" in why for why in one.left_out)
     assert evaluate_files(euler[:3], sample_time=1.0).convergences == ()
+
+
+def test_the_model_file_is_the_pendulum_of_the_scene(tmp_path: Path) -> None:
+    """Give the moments, the masses and the start of the scene, and no servo, to engines that take model files only."""
+    mujoco = pytest.importorskip("mujoco")
+    given = mujoco.MjModel.from_xml_path(str(script("make_convergence").pendulum_file(tmp_path)))
+    scene = compile_scene(make_scene("pendulum"), dt=0.02, options=MjcfOptions())
+    assert given.nu == 0 and given.key("start").qpos == pytest.approx(scene.qpos0)
+    for field in ("body_mass", "body_inertia", "body_ipos", "jnt_axis", "jnt_range", "dof_damping", "dof_armature"):
+        assert np.array_equal(getattr(given, field), getattr(scene.model, field)), field
+
+
+@pytest.mark.slow
+def test_a_row_says_what_was_found_or_why_an_engine_refused(pendulums: list[Path], tmp_path: Path) -> None:
+    """Draw the order of an engine that was recorded, and the reason of one that takes no robots."""
+    drawn = script("make_convergence")
+    engine = next(one for one in drawn.ENGINES if one.simulator == "mujoco" and "integrator=RK4" in one.options)
+    for dt, path in zip(drawn.STEPS, pendulums[4:], strict=False):
+        (tmp_path / engine.folder(dt)).mkdir()
+        shutil.copy(path, tmp_path / engine.folder(dt))
+    refusing = next(one for one in drawn.ENGINES if one.simulator == "brax" and one.scene == "pendulum")
+    (tmp_path / f"{refusing.folder(0)}.txt").write_text("it has no hinge joints\n", encoding="utf-8")
+    found, refused = ([cell.strip() for cell in row.split("|")[1:-1]] for row in drawn.rows(tmp_path))
+    assert found[:2] == ["pendulum, joints [rad] at 1 s", "mujoco [integrator=RK4]"]
+    assert found[3].startswith("3.8") and found[4] == "4" and found[-1] == ""
+    assert refused == ["pendulum", "brax [solver generalized]", "", "", "", "", "it has no hinge joints"]
