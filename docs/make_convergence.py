@@ -1,110 +1,174 @@
 """Records engines at several time steps, and draws their orders of convergence into docs/physics.md.
 
-usage: python docs/make_convergence.py FOLDER
+usage: python docs/make_convergence.py FOLDER [SIMULATOR...]
 
-What FOLDER has already is not recorded again. An engine that is not installed has no row.
+What FOLDER has already is not recorded again; with names of simulators, no others are. An engine that is not installed
+has no row; an engine that refuses a scene has a row with its reason.
 """
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.report.sections.convergence import said
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
+from gpusimbench.recorder.scenes.registry import make_scene
 
 PAGE = Path(__file__).resolve().parent / "physics.md"
 BEGIN, END = "<!-- convergence: docs/make_convergence.py -->", "<!-- end of convergence -->"
-SECONDS = {"pendulum": 1.0, "free-fall": 0.2}
+SECONDS = {"pendulum": 1.0, "free-fall": 0.2, "ball-drop": 0.1}
+"""When states are compared [s]; nothing has touched anything by then."""
 STEPS = (0.02, 0.01, 0.005, 0.0025, 0.00125)
-ENVS = 16
-SPEED = 2.0
-"""Standard deviation of the angular velocities [rad/s] that the pendulums begin with."""
+ENVS = {"pendulum": 16, "free-fall": 1, "ball-drop": 16}
+SPREAD = 0.8  # of the angles [rad]
+_TIME = 280  # for one recording [s]
 
-_MUJOCO = tuple(("--option", f"integrator={name}") for name in ("Euler", "implicitfast", "RK4"))
-_RUNS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    *(("pendulum", "mujoco", options) for options in _MUJOCO),
-    *(("pendulum", "warp", options) for options in _MUJOCO),
-    *(("pendulum", "mjx", ("--impl", "jax", *options)) for options in _MUJOCO),
+_MUJOCO = {"Euler": 1, "implicitfast": 1, "RK4": 4}
+"""Orders of the integrators, by MuJoCo's documentation (Computation, Numerical integration)."""
+
+
+@dataclass(frozen=True)
+class Engine:
+    """A simulator with options on a scene.
+
+    order  of the method, where its documentation or its source names it; None where neither was found to
+    model  the scene is given as a model file, since the simulator has no robots of its own
+    """
+
+    scene: str
+    simulator: str
+    options: tuple[str, ...] = ()
+    order: int | None = 1
+    model: bool = False
+
+    def folder(self, dt: float) -> str:
+        """Of its recording at a step [s]."""
+        given = (option.replace("=", "-").strip("-") for option in self.options)
+        return "-".join([self.scene, self.simulator, *given, f"{dt:g}"])
+
+
+ENGINES: tuple[Engine, ...] = (
     *(
-        ("free-fall", name, options)
-        for name, options in (
-            ("mujoco", ()), ("warp", ()), ("mjx", ("--impl", "jax")), ("newton", ()), ("newton", ("--solver", "xpbd")),
-            ("brax", ()), ("genesis", ()), ("physx", ()), ("sapien", ()),
-        )
+        Engine("pendulum", name, (*options, "--option", f"integrator={integrator}"), order)
+        for name, options in (("mujoco", ()), ("warp", ()), ("mjx", ("--impl", "jax")))
+        for integrator, order in _MUJOCO.items()
     ),
-)  # fmt: skip
+    # Genesis raises the time constant of constraints to two steps, which would make steps of different settings
+    Engine("pendulum", "genesis", ("--option", "constraint_timeconst=0.04")),
+    *(Engine("pendulum", name, order=None) for name in ("physx", "sapien")),
+    *(Engine("pendulum", "newton", ("--solver", name), model=True) for name in ("mujoco", "featherstone", "xpbd")),
+    *(Engine("pendulum", "brax", ("--solver", name)) for name in ("generalized", "positional", "spring")),
+    *(Engine("free-fall", name) for name in ("mujoco", "warp")),
+    Engine("free-fall", "mjx", ("--impl", "jax")),
+    *(Engine("free-fall", "newton", ("--solver", name)) for name in ("mujoco", "featherstone", "xpbd")),
+    Engine("free-fall", "genesis"),
+    *(Engine("free-fall", name, order=None) for name in ("physx", "sapien")),
+    # with the 27 cubes of free-fall, Brax's generalized solver takes minutes to compile
+    *(Engine("ball-drop", "brax", ("--solver", name)) for name in ("generalized", "positional", "spring")),
+)
 
-PENDULUM = """
-<mujoco>
-  <option timestep="0.01"><flag contact="disable"/></option>
-  <worldbody>
-    <body pos="0 0 1">
-      <joint name="hinge" type="hinge" axis="0 1 0"/>
-      <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1"/>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-"""A physical pendulum without friction."""
+
+def pendulum_file(folder: Path) -> Path:
+    """The scene pendulum as a model file, with its start as a keyframe, and without its servo, which has no gain."""
+    scene = make_scene("pendulum")
+    if scene.robot is None or any(joint.stiffness or joint.damping for joint in scene.robot.joints()):
+        raise ValueError("the pendulum of the scene swings freely")
+    root = ElementTree.fromstring(emit_mjcf(scene, dt=STEPS[0], option={}, geom={}))
+    for servos in root.findall("actuator"):
+        root.remove(servos)
+    start = " ".join(map(repr, scene.robot.start))
+    ElementTree.SubElement(ElementTree.SubElement(root, "keyframe"), "key", {"name": "start", "qpos": start})
+    path = folder / "pendulum.xml"
+    path.write_text(ElementTree.tostring(root, encoding="unicode"), encoding="utf-8")
+    return path
 
 
-def record(folder: Path) -> None:
+def command(engine: Engine, dt: float, folder: Path) -> list[str]:
+    """That records an engine at a step [s]: its states at the beginning and at the time that is compared."""
+    steps = round(SECONDS[engine.scene] / dt)
+    given = [sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", engine.simulator, *engine.options]
+    given += ["--dt", f"{dt:g}", "--steps", f"{steps}", "--stride", f"{steps}", "--no-view", "--runs", "1"]
+    given += ["--phases", "capture", "--out", str(folder / engine.folder(dt)), "--n-env", f"{ENVS[engine.scene]}"]
+    if ENVS[engine.scene] > 1:
+        given += ["--initial", f"random:{SPREAD:g}"]
+    if engine.model:
+        return [*given, "--model", str(pendulum_file(folder)), "--keyframe", "start"]
+    return [*given, "--scene", engine.scene]
+
+
+def record(folder: Path, chosen: Sequence[str]) -> None:
     """Record what is not there yet; an engine that fails at its first step is left out at the others."""
-    model = folder / "pendulum.xml"
-    model.parent.mkdir(parents=True, exist_ok=True)
-    model.write_text(PENDULUM, encoding="utf-8")
-    for scene, simulator, options in _RUNS:
+    folder.mkdir(parents=True, exist_ok=True)
+    for engine in ENGINES:
+        refused = folder / f"{engine.folder(0)}.txt"
         for dt in STEPS:
-            steps = round(SECONDS[scene] / dt)
-            name = "-".join([scene, simulator, *(o.replace("=", "-").strip("-") for o in options), f"{dt:g}"])
-            if list((folder / name).glob("*.mcap")):
+            name = engine.folder(dt)
+            if list((folder / name).glob("*.mcap")) or (chosen and engine.simulator not in chosen):
                 continue
-            command = [sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", simulator, *options]
-            command += ["--dt", f"{dt:g}", "--steps", f"{steps}", "--stride", f"{steps}", "--no-view"]
-            command += ["--runs", "1", "--phases", "capture", "--out", str(folder / name)]
-            if scene == "pendulum":
-                command += ["--model", str(model), "--n-env", f"{ENVS}", "--initial", f"random:{SPEED:g}"]
-            else:
-                command += ["--scene", scene, "--n-env", "1"]
-            done = subprocess.run(command, check=False, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-            print(f"{name}: exit code {done.returncode}", flush=True)
-            if done.returncode:
+            try:
+                done = subprocess.run(
+                    command(engine, dt, folder), check=False, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL,
+                    timeout=_TIME, text=True,
+                )  # fmt: skip
+                code, why = done.returncode, done.stderr.strip().rpartition("\n")[2]
+            except subprocess.TimeoutExpired:
+                code, why = -1, f"no recording within {_TIME} s"
+            print(f"{name}: exit code {code}", flush=True)
+            if code:
+                reason = re.sub(r"^(gsb-record: |run 1/1 \w+ in [0-9.]+ s: )", "", why)
+                refused.write_text(reason + "\n", encoding="utf-8")
                 break
+            refused.unlink(missing_ok=True)
+
+
+def rows(folder: Path) -> Iterator[str]:
+    """A row for each engine and scene that was recorded, or that refused."""
+    for engine in ENGINES:
+        files = [path for dt in STEPS for path in sorted((folder / engine.folder(dt)).glob("*.mcap"))]
+        refused = folder / f"{engine.folder(0)}.txt"
+        options = " ".join(option for option in engine.options if option != "--option").replace("--", "")
+        label = f"{engine.simulator}{f' [{options}]' if options else ''}"
+        if refused.exists():
+            yield f"| {engine.scene} | {label} | | | | | {refused.read_text(encoding='utf-8').strip()} |"
+            continue
+        for one in evaluate_files(files, sample_time=SECONDS[engine.scene]).convergences if files else ():
+            yield row(one, f"{label[:-1]}, as a model file]" if engine.model else label, engine)
 
 
 def table(folder: Path) -> str:
-    """A row for each engine and scene."""
-    lines = [
-        "| scene | engine | error by step | order [95 %] | local orders | |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    for scene, seconds in SECONDS.items():
-        files = sorted(folder.glob(f"{scene}-*/*.mcap"))
-        lines += [row(one) for one in evaluate_files(files, sample_time=seconds).convergences]
-    return "\n".join(lines)
+    """All rows below their heads."""
+    head = "| scene | engine | error by step | order [95 %] | of the method | local orders | |"
+    return "\n".join([head, "| --- | --- | --- | --- | --- | --- | --- |", *rows(folder)])
 
 
-def row(one: Convergence) -> str:
+def row(one: Convergence, label: str, engine: Engine) -> str:
     """Errors, order and local orders of an engine, or why there is no order."""
-    where = f"| {one.scene}, {one.what} [{one.unit}] at {one.time:g} s | {one.label}"
+    where = f"| {engine.scene}, {one.what} [{one.unit}] at {one.time:g} s | {label}"
+    told = "-" if engine.order is None else f"{engine.order}"
     if isinstance(one.found, Missing):
-        return f"{where} | | | | {one.found.reason} |"
+        return f"{where} | | | {told} | | {'; '.join([one.found.reason, *one.left_out])} |"
     order = one.found
     errors = ", ".join(f"{e:.2g} at {1000 * dt:g} ms" for dt, e in zip(order.steps, order.errors, strict=True))
     local = ", ".join(f"{p:.2f}" for p in order.local)
-    return f"{where} | {errors} | {said(one)} | {local} | {'' if order.asymptotic else 'not in the asymptotic range'} |"
+    note = "" if order.asymptotic else "not in the asymptotic range"
+    return f"{where} | {errors} | {said(one)} | {told} | {local} | {note} |"
 
 
 def main() -> None:
     """Record, and write the table into the page."""
-    if len(sys.argv) != 2:
+    if len(sys.argv) < 2:
         raise SystemExit(__doc__)
     folder = Path(sys.argv[1]).resolve()
-    record(folder)
+    record(folder, sys.argv[2:])
     page = PAGE.read_text(encoding="utf-8")
     head, rest = page.split(BEGIN)
     PAGE.write_text(f"{head}{BEGIN}\n{table(folder)}\n{END}{rest.split(END)[1]}", encoding="utf-8")

@@ -12,7 +12,7 @@ from scipy.special import chdtri, stdtrit
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues, PhysicsFacts
-from gpusimbench.evaluator.statistics.cases import standard_error
+from gpusimbench.evaluator.statistics.cases import standard_error, variation
 from gpusimbench.evaluator.statistics.counts import FEWEST, uniformity
 
 Array = npt.NDArray[np.float64]
@@ -173,16 +173,20 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
     half = float(stdtrit(count - 1, 0.975)) * error if count > 1 else 0.0
     low, high = mean - half, mean + half
     held = (low <= tolerance and high >= -tolerance) if judged else None
-    shown = tolerance if exact else showing_move(off, predicted[there])
-    moved = breaking_move(off, predicted[there], tolerance) if held else None
+    uneven = dict(first.uneven)
+
+    def sensitivity(parameter: str, slope: float) -> Sensitivity:
+        share = max(variation(predicted[there]), uneven.get(parameter, 0.0))
+        shown = tolerance if exact else showing_move(off, share)
+        moved = breaking_move(off, share, tolerance) if held else None
+        least, breaks = _size(shown, slope, parameter), _size(moved, slope, parameter)
+        return Sensitivity(parameter, float(slope), least, exact, breaks)
+
     return Law(
         label, scene, first.key, first.title, first.unit, count, len(first.measured),
         float(measured[there].mean()), float(predicted[there].mean()) if judged else None, mean if judged else None,
         (low, high) if count > 1 else None, tolerance, first.of, held,
-        tuple(
-            Sensitivity(name, float(slope), _size(shown, slope, name), exact, _size(moved, slope, name))
-            for name, slope in first.slopes
-        ),
+        tuple(sensitivity(name, slope) for name, slope in first.slopes),
         error * math.sqrt(count),
         first.absent if count < len(first.measured) else "",
         next((run.predicted.reason for run in alike if isinstance(run.predicted, Missing)), ""),
@@ -204,36 +208,29 @@ def _most_error(values: Array) -> float:
     return 0.0 if error is None else error * math.sqrt(degrees / float(chdtri(degrees, POWER)))
 
 
-def _unevenness(predicted: Array) -> float:
-    """The share by which the effect of a change differs between environments, over the root of their number."""
-    middle = abs(float(predicted.mean()))
-    spread = float(predicted.std(ddof=1)) / middle if len(predicted) > 1 and middle else 0.0
-    return max(_UNEVEN, spread) / math.sqrt(len(predicted))
-
-
-def showing_move(off: Array, predicted: Array) -> float | None:
+def showing_move(off: Array, uneven: float) -> float | None:
     """How far a change has to move the mean so that recordings before and after it are told apart with POWER.
 
-    off, predicted  by environment, without the change: measured minus predicted, and predicted
+    off     by environment, without the change: measured minus predicted
+    uneven  share by which the effect of a change differs between environments
 
     The size of effect of a two-sample t test (Cohen, Statistical Power Analysis, chapter 2), with the standard error s
     of both, and an effect d that spreads over n environments by a share k of itself: d = q sqrt(2 s^2 + k^2 d^2 / n),
     q = (t.975 + t.95) sqrt(pi / 3) with 2n - 2 degrees of freedom, the root for ranks instead of values. s is
-    its own upper 95 % limit; k is the coefficient of variation of the predicted values, and _UNEVEN at least. None
-    where no d is large enough.
+    its own upper 95 % limit; k is `uneven`, and _UNEVEN at least. None where no d is large enough.
     """
     if len(off) < 2:
         return None
     degrees = 2 * len(off) - 2
     q = _RANKS * float(stdtrit(degrees, 0.975) + stdtrit(degrees, POWER))
-    left = 1.0 - (q * _unevenness(predicted)) ** 2
+    left = 1.0 - (q * max(_UNEVEN, uneven)) ** 2 / len(off)
     return q * math.sqrt(2.0 / left) * _most_error(off) if left > 0.0 else None
 
 
-def breaking_move(off: Array, predicted: Array, tolerance: float) -> float | None:
+def breaking_move(off: Array, uneven: float, tolerance: float) -> float | None:
     """How far a change has to move the mean, to either side, so that the 95 % interval leaves the tolerance with POWER.
 
-    off, predicted  as of showing_move
+    off, uneven  as of showing_move
 
     d >= tolerance + |m| + q (s + k d / sqrt(n)), with the mean m, q = t.975 + t.95 with n - 1 degrees of freedom, and s
     and k as of showing_move. None where no d is large enough.
@@ -242,5 +239,5 @@ def breaking_move(off: Array, predicted: Array, tolerance: float) -> float | Non
     if n < 2:
         return tolerance + mean
     q = float(stdtrit(n - 1, 0.975) + stdtrit(n - 1, POWER))
-    left = 1.0 - q * _unevenness(predicted)
+    left = 1.0 - q * max(_UNEVEN, uneven) / math.sqrt(n)
     return (tolerance + mean + q * _most_error(off)) / left if left > 0.0 else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -124,3 +125,13 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
 def standard_error(cases: npt.NDArray[np.float64]) -> float | None:
     """Of the mean of independent cases, shape [case]; None with fewer than two."""
     return float(cases.std(ddof=1) / np.sqrt(len(cases))) if len(cases) > 1 else None
+
+
+def variation(cases: npt.NDArray[np.float64]) -> float:
+    """The coefficient of variation: standard deviation over the size of the mean; infinite where cases with a mean of
+    zero spread, and 0 where they do not spread, or are fewer than two."""
+    spread, middle = (
+        float(cases.std(ddof=1)) if len(cases) > 1 else 0.0,
+        abs(float(cases.mean())) if len(cases) else 0.0,
+    )
+    return 0.0 if not spread else spread / middle if middle else math.inf

@@ -51,8 +51,12 @@ class Order:
 
     @property
     def asymptotic(self) -> bool:
-        """Whether all local orders are within AGREE of the fitted order, so that it is that of the method."""
-        return all(abs(one - self.order) <= AGREE for one in self.local)
+        """Whether all local orders are within AGREE of the fitted order, so that it is that of the method.
+
+        Errors that do not fall at all fit best at the end of the range in which orders are looked for, all alike.
+        """
+        inside = _ORDERS[0] + AGREE < self.order < _ORDERS[1] - AGREE
+        return inside and all(abs(one - self.order) <= AGREE for one in self.local)
 
 
 def fit_order(steps: npt.ArrayLike, errors: npt.ArrayLike, *, finest: float = 0.0, seed: int = 0) -> Order | Missing:

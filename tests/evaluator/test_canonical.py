@@ -30,6 +30,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of
+from gpusimbench.evaluator.statistics.cases import variation
 from tests.conftest import call
 
 _COMMON = ("--sim", "mujoco", "--n-env", "12", "--runs", "1", "--phases", "capture", "--seed", "3")
@@ -264,7 +265,7 @@ def test_the_smallest_changes_are_seen_95_times_in_100() -> None:
     pairs, verdicts, half, none = [], [], [], []
     for _ in range(count):
         before = rng.normal(0.0, sigma, n)
-        least, breaks = showing_move(before, predicted), breaking_move(before, predicted, 0.2)
+        least, breaks = showing_move(before, variation(predicted)), breaking_move(before, variation(predicted), 0.2)
         assert least is not None
         assert breaks is not None
 

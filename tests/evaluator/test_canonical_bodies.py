@@ -13,12 +13,15 @@ import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
+from benchmarks.law_changes import Change
+from benchmarks.law_power import Setting, measured
 from gpusimbench import open_recording
 from gpusimbench.evaluator.metrics.physics.bouncing import bounce
 from gpusimbench.evaluator.metrics.physics.closed_form import falling_time, rotation_period
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.results.canonical import Law, laws
+from gpusimbench.evaluator.runs.physics.canonical.motion import unevenness
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 from tests.conftest import call
 
@@ -81,8 +84,17 @@ def test_runge_kutta_keeps_the_laws_of_free_bodies(turning: Path) -> None:
     assert set(found) == {f"{n}_{w}" for n in ("middle", "long", "short") for w in ("momentum", "energy", "period")}
     assert all(law["held"] and law["count"] == 6 for law in found.values())
     assert all(abs(law["difference"]) < 2e-5 for law in found.values())
-    least = {one["parameter"]: one["least"] for one in found["middle_period"]["sensitivities"]}
-    assert least["mass"] is None and 0 < least["middle moment"] < 1e-2
+    (mass, middle), (_, long) = (found[f"{name}_period"]["sensitivities"] for name in ("middle", "long"))
+    assert mass["least"] is None and 0 < middle["least"] < 1e-2
+    assert 0 < long["least"] < long["breaks"] < 1e-2
+    assert middle["breaks"] is None  # with another moment, some periods of the body that flips rise and others fall
+
+
+def test_a_change_that_moves_environments_both_ways_is_uneven_without_bound() -> None:
+    """Take the coefficient of variation where all move one way."""
+    assert unevenness(np.array([1.0, 2.0, 3.0])) == unevenness(-np.array([1.0, 2.0, 3.0])) == pytest.approx(0.5)
+    assert unevenness(np.array([2.0, 2.0])) == unevenness(np.array([2.0])) == unevenness(np.zeros(3)) == 0.0
+    assert math.isinf(unevenness(np.array([-0.1, 2.0, 3.0])))
 
 
 @pytest.mark.slow
@@ -222,3 +234,30 @@ def test_a_stride_hides_a_bounce(tmp_path: Path) -> None:
     done = call("gsb-record", *_COMMON, "--scene", "ball-drop", "--stride", "5", "--out", tmp_path)
     said = " ".join(call("gsb-eval", done.stdout.split()[0]).stdout.split())
     assert "only every 5th state was recorded" in said
+
+
+def test_another_gravity_moves_the_time_of_contact() -> None:
+    """Read the time of the contact of a ball that falls with another gravity than it was told, and break no other."""
+    time, height, speed = _bouncing(0.6)
+    right = bounce(time, height, speed, 9.81)
+    told = bounce(time, height, speed, 9.81 / 0.85)  # the ball falls with 15 % less than that
+    assert told.time == pytest.approx(right.time, abs=1e-9)
+    assert told.after / told.before == pytest.approx(0.6, abs=1e-9)
+    assert math.isnan(bounce(time, height, speed, 9.81 * 2.0).time)  # which is no fall
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("integrator", ["implicitfast", "Euler"])
+def test_a_damping_adds_to_the_drift_as_claimed(integrator: str, tmp_path: Path) -> None:
+    """Take what the laws say that a damping takes from a body that flips, whose energy drifts by itself."""
+    damping, found = 5e-4, []
+    setting = Setting("mujoco", "free-body", 0.01, tmp_path, {"integrator": integrator})
+    for changes in ((), [Change("angular damping", "middle", damping)]):
+        found.append({law.key: law for law in measured(setting, changes, 1)})
+    before, after = found
+    slopes = {key: dict(before[key].slopes)["angular damping"] for key in ("middle_momentum", "middle_energy")}
+    for key, slope in slopes.items():
+        moved = np.subtract(after[key].measured, before[key].measured).mean() / damping
+        assert moved == pytest.approx(slope, rel=0.1)
+    assert slopes["middle_energy"] < 0.0
+    assert (slopes["middle_momentum"] > 0.0) is (integrator == "implicitfast")  # Euler adds momentum, damping takes it

@@ -5,10 +5,16 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from benchmarks.law_power import Setting, changed, table, trials
+from benchmarks.law_changes import Change, change_model, changed_scene
+from benchmarks.law_power import Setting, recorded_together, table, trials
+from benchmarks.loaded_dice import power, throw
+from gpusimbench.evaluator.statistics.counts import uniformity
 from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from tests.conftest import call
 from tests.scripts import script
 
@@ -104,14 +110,48 @@ def test_totals_are_those_of_all_rows() -> None:
 
 
 def test_a_change_is_that_of_the_named_lane_and_of_the_joint() -> None:
-    """Change the friction of a block and of its plank, and of no other, and the damping of the joint."""
+    """Change the friction of a block and of its plank, and of no other, and the damping of the named joints."""
     scene = make_scene("sliding-block")
-    made = {body.name: body.material.kinetic_friction for body in changed(scene, {"level": 0.1}, 0.0).bodies}
+    after = changed_scene(scene, [Change("friction", "level", 0.1)])
+    made = {body.name: body.material.kinetic_friction for body in after.bodies}
     assert made["level"] == made["plank-level"] == pytest.approx(0.33)
     assert {value for name, value in made.items() if "level" not in name} == {0.3}
-    robot = changed(make_scene("pendulum"), {}, 1e-3).robot
-    assert robot is not None
-    assert [joint.friction for joint in robot.joints()] == [1e-3]
+    dampings = {
+        name: [joint.friction for joint in robot.joints()]
+        for name, subject in (("pendulum", "energy"), ("double-pendulum", "small"))
+        if (robot := changed_scene(make_scene(name), [Change("damping", subject, 1e-3)]).robot)
+    }
+    assert dampings == {"pendulum": [1e-3], "double-pendulum": [0.0, 0.0, 1e-3, 1e-3]}
+
+
+def test_a_scene_has_another_gravity_and_restitution() -> None:
+    """Change what all bodies have in common."""
+    after = changed_scene(make_scene("ball-drop"), [Change("gravity", "", 0.01), Change("restitution", "low", -0.1)])
+    assert after.gravity == pytest.approx((0.0, 0.0, -9.81 * 1.01))
+    assert [body.material.restitution for body in after.bodies] == pytest.approx([0.54] * 4)
+
+
+def test_a_model_has_another_moment_and_damping() -> None:
+    """Change the middle moment of one body, with what MuJoCo computes of it once, and damp the turns of another."""
+    model = compile_scene(make_scene("free-body"), dt=0.01, options=MjcfOptions()).model
+    before = model.body_inertia.copy(), model.dof_M0.copy()
+    change_model(model, [Change("middle moment", "middle", 0.02), Change("angular damping", "long", 1e-3)])
+    body, damped = int(model.body("middle").id), int(model.body("long").id)
+    shares = model.body_inertia / before[0].clip(min=1e-12)
+    assert shares[body] == pytest.approx((1.0, 1.02, 1.0)) and shares[damped] == pytest.approx((1.0, 1.0, 1.0))
+    first = int(model.body_dofadr[body])
+    assert model.dof_M0[first : first + 6] / before[1][first : first + 6] == pytest.approx((1, 1, 1, 1, 1.02, 1))
+    first = int(model.body_dofadr[damped])
+    assert model.dof_damping[first : first + 6] == pytest.approx((0, 0, 0, *(1e-3 * before[0][damped])))
+    assert model.dof_damping.sum() == pytest.approx(1e-3 * before[0][damped].sum())
+
+
+def test_one_recording_has_one_gravity_and_the_friction_of_each_lane() -> None:
+    """Put laws of several bodies together only where each of them has the parameter."""
+    lanes = [("level_distance", "friction"), ("uphill_distance", "friction"), ("level_acceleration", "friction")]
+    assert recorded_together(lanes) == [lanes[:2], lanes[2:]]
+    balls = [("low_contact", "gravity"), ("high_contact", "gravity")]
+    assert recorded_together(balls) == [balls[:1], balls[1:]]
 
 
 def test_a_damped_pendulum_is_noticed_and_an_undamped_one_is_not(tmp_path: Path) -> None:
@@ -132,3 +172,46 @@ def test_other_friction_is_noticed(tmp_path: Path) -> None:
     assert {row[-1] for row in rows} == {"0 of 2"}
     for column in (4, 7):  # 14 chances each: two or fewer misses in 97 of 100 machines that step otherwise
         assert sum(int(row[column].split()[0]) for row in rows if row[column] != "-") >= 12, shown
+
+
+_COUNTED = """| step | law | change of | size | seen | without | size | broken | without |
+| ---: | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |
+| 4 ms | speed of it | x | 1 % | 38 of 40 | 2 of 40 | 2 % | 33 of 40 | 0 of 40 |
+| 4 ms | b | x | 1 % | 35 of 40 | 7 of 40 | - | - | 40 of 40 |
+
+mujoco 4.0.0, 32 environments, 40 repetitions.
+"""
+
+
+def test_a_rate_far_from_its_claim_is_bold(tmp_path: Path) -> None:
+    """Mark what a rate of 95 %, or of 5 % without a change, would give in less than 1 of 100 counts, and add up."""
+    power = script("make_power")
+    name = next(iter(power.COUNTS))
+    (tmp_path / f"{name}.md").write_text(_COUNTED, encoding="utf-8")
+    shown = power.block(tmp_path)
+    assert shown.startswith(f"`{' '.join(power.COUNTS[name])}`\n\n| step | law |")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown.splitlines() if "4 ms" in line]
+    assert [row[4:] for row in rows] == [
+        ["38 of 40", "2 of 40", "2 %", "**33 of 40**", "0 of 40"],
+        ["35 of 40", "**7 of 40**", "-", "-", "40 of 40"],
+    ]
+    assert "73 of 80 pairs with a change were seen, and 33 of 40 verdicts broken" in shown
+    assert "without a change 9 of 80 pairs differed. Bold: 2 of 5 rates" in shown
+
+
+def test_a_heavy_face_comes_to_lie_below(tmp_path: Path) -> None:
+    """See the face opposite to a heavy one on top in a third of the throws or more, and the law broken by it."""
+    setting = Setting("mujoco", "dice-drop", 0.01, tmp_path, n_env=16)
+    heavy = throw(setting, 0.5, 1)
+    assert sum(heavy.counts) > 150
+    assert heavy.counts[5] > sum(heavy.counts) / 3 > sum(heavy.counts) / 8 > heavy.counts[2]
+    assert not heavy.law.held
+
+
+def test_the_power_by_probabilities_is_that_of_the_claim() -> None:
+    """Give the size that the law claims the power that it claims it with, and equal faces its level."""
+    claim = uniformity([64] * 6, alpha=1e-3, power=0.95)
+    assert claim is not None
+    one = np.array([1.0 + claim.least] + [1.0 - claim.least / 5.0] * 5) / 6.0
+    assert power(one, 384, claim.critical) == pytest.approx(0.95, abs=1e-6)
+    assert power(np.full(6, 1.0 / 6.0), 384, claim.critical) == pytest.approx(1e-3, rel=1e-3)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 _FREE = 0.01  # share of g by which an acceleration in the air may be off
+_OTHER = 0.25  # share of g beyond which a first step is no fall: no law claims to notice so large a change
 _EPSILON = 2.0**-22  # of speeds that were recorded in float32, times two
 _LONGEST = 0.3  # that a ball touches the ground before it leaves it; longer, it stays there [s]
 
@@ -40,9 +41,11 @@ def bounce(time: Array, height: Array, speed: Array, gravity: float) -> Bounce:
     gravity  [m/s2]
 
     Between two states in the air, the speed falls by g times the time. A ball at height h with speed v meets the ground
-    with sqrt(v^2 + 2 g h), and left it with the same.
+    with sqrt(v^2 + 2 g h), and left it with the same. Where an engine pulls with another gravity than it was given, g
+    is that of the first step, so that the time of the contact tells it.
     """
     lapse = np.diff(time)
+    gravity = _pull(lapse, speed, gravity)
     off = np.abs(np.diff(speed) + gravity * lapse)
     free = off <= _FREE * gravity * lapse + _EPSILON * np.abs(speed[1:])
     touching = np.nonzero(~free)[0]
@@ -56,6 +59,12 @@ def bounce(time: Array, height: Array, speed: Array, gravity: float) -> Bounce:
         first = last + int(leaving[0])
         return Bounce(contact, before, _at_ground(height[first], speed[first], gravity))
     return Bounce(contact, before, 0.0 if time[-1] - contact > _LONGEST else math.nan)
+
+
+def _pull(lapse: Array, speed: Array, gravity: float) -> float:
+    """The acceleration of the fall, as of its first step where the ball clearly falls otherwise than it was told."""
+    first = float((speed[0] - speed[1]) / lapse[0]) if len(lapse) else gravity
+    return first if _FREE / 2.0 < abs(first / gravity - 1.0) < _OTHER else gravity
 
 
 def _at_ground(height: float, speed: float, gravity: float) -> float:

@@ -108,6 +108,8 @@ class LawValues:
                "coupler's length", "rocker's length"), or for 1 N m s/rad of a joint's ("damping") or 1/s of a body's
                ("angular damping"); 0 where it has no effect
     absent     why an environment has no value; empty where each has one
+    uneven     by parameter: how unevenly a change of it moves environments (unevenness in canonical/motion.py), where
+               that is more than the coefficient of variation of the predicted values
     """
 
     key: str
@@ -119,6 +121,7 @@ class LawValues:
     of: str
     slopes: tuple[tuple[str, float], ...]
     absent: str = ""
+    uneven: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)

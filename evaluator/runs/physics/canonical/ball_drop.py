@@ -11,7 +11,7 @@ from gpusimbench.evaluator.metrics.physics.bouncing import bounce
 from gpusimbench.evaluator.metrics.physics.closed_form import falling_time
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of
+from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of, unevenness
 from gpusimbench.evaluator.runs.physics.facts import LawValues
 from gpusimbench.evaluator.runs.physics.world import Moving, world_of
 from gpusimbench.schemas import checks
@@ -69,7 +69,7 @@ def _ball(
         LawValues(
             f"{ball.name}_contact", f"first contact of the ball {drop}", "s",
             tuple(one.time for one in bounces), tuple(map(float, expected)), dt, "dt",
-            (("mass", 0.0), ("gravity", float(steeper.mean()))), _NO_BOUNCE,
+            (("mass", 0.0), ("gravity", float(steeper.mean()))), _NO_BOUNCE, (("gravity", unevenness(steeper)),),
         ),
         LawValues(
             f"{ball.name}_restitution", f"restitution of the ball {drop}", "",

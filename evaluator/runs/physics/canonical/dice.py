@@ -22,6 +22,11 @@ def dice_laws(recording: Recording) -> tuple[LawCounts, ...] | Missing:
     """The law, of the dice of all environments, or why it cannot be measured."""
     if not recording.configuration.initial.startswith("random:"):
         return Missing("dice begin alike in all environments: record them with --initial random:SPREAD")
+    return counted(recording)
+
+
+def counted(recording: Recording) -> tuple[LawCounts, ...] | Missing:
+    """The law of dice that began with drawn orientations, or why it cannot be measured."""
     read = ending_of(recording)
     if isinstance(read, Missing):
         return read

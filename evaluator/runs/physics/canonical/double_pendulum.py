@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gpusimbench.evaluator.metrics.physics.double_pendulum import DoublePendulum
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of
+from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of, unevenness
 from gpusimbench.evaluator.runs.physics.facts import LawValues
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
@@ -56,12 +56,13 @@ def _energy(
     short = time[-1] < 2.0 * window or not (before > 0.0).all()
     none = np.full(angle.shape[1], math.nan)
     changed = none if short else energy[last].mean(axis=0) / before - 1.0
-    lost = 0.0 if short else float((((joint**2).sum(axis=-1).mean(axis=0)) * (time[-1] - window) / before).mean())
+    lost = none if short else (joint**2).sum(axis=-1).mean(axis=0) * (time[-1] - window) / before
     return LawValues(
         f"{name}_energy", f"energy of the {name} swing, last above first {window:.3g} s, over it", "",
         tuple(map(float, changed)), (0.0,) * len(changed), dt / window + float(fast * dt) ** 2,
-        "dt / T + (omega dt)^2", (("mass", 0.0), ("damping", -lost)),
+        "dt / T + (omega dt)^2", (("mass", 0.0), ("damping", 0.0 if short else -float(lost.mean()))),
         f"less than {2.0 * window:.3g} s were recorded, or a pendulum starts at rest",
+        () if short else (("damping", unevenness(lost)),),
     )  # fmt: skip
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -9,7 +11,7 @@ from gpusimbench.evaluator.metrics.physics.closed_form import rotation_period
 from gpusimbench.evaluator.metrics.physics.solids import rotations
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of, cycles
+from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of, cycles, unevenness
 from gpusimbench.evaluator.runs.physics.facts import LawValues
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
@@ -18,6 +20,7 @@ Array = npt.NDArray[np.float64]
 
 _LARGE = 1e6
 _SMALL = 1e-9
+_SHARE = 1e-2  # of the tolerance, below which an error is nothing beside a change that shows
 _NUDGE = 1e-4  # share of a moment by which its effect on the period is measured
 
 
@@ -44,11 +47,14 @@ def _body(name: str, moments: Array, time: Array, turn: Array, spin: Array, dt: 
     """The laws of a body, of its rotations [row, env, 3, 3] and angular velocities about its own axes [row, env, 3]."""
     momentum = np.einsum("reij,rej->rei", turn, spin * moments)
     energy = (spin**2 @ moments) / 2.0
+    step = float(np.linalg.norm(spin[0], axis=-1).max()) * dt
     turned = np.linalg.norm(momentum[-1] - momentum[0], axis=-1) / np.linalg.norm(momentum[0], axis=-1)
     gained = energy[-1] / energy[0] - 1.0
     none = (0.0,) * len(gained)
+    along, lost = _damped(momentum[0], momentum[-1], gained, step)
+    # a damping that shortens errors turns the smallest of them over
+    over = float(along.mean()) < 0.0 and float(turned.min()) < float(turned.mean()) / 2.0
     whole = float(time[-1])
-    step = float(np.linalg.norm(spin[0], axis=-1).max()) * dt
     order = np.argsort(moments)
     ascending, start = moments[order], spin[0][:, order]
     predicted = rotation_period(ascending, start)
@@ -61,21 +67,47 @@ def _body(name: str, moments: Array, time: Array, turn: Array, spin: Array, dt: 
         LawValues(
             f"{name}_momentum", f"change of the angular momentum of {name} in {whole:g} s, over it", "",
             tuple(map(float, turned)), none, step, "omega dt",
-            (("mass", 0.0), ("angular damping", whole)),
+            (("mass", 0.0), ("angular damping", whole * float(along.mean()))),
+            "", (("angular damping", math.inf if over else unevenness(along)),),
         ),
         LawValues(
             f"{name}_energy", f"energy of {name} gained in {whole:g} s, over it", "",
             tuple(map(float, gained)), none, step, "omega dt",
-            (("mass", 0.0), ("angular damping", -2.0 * whole)),
+            (("mass", 0.0), ("angular damping", -2.0 * whole * float(lost.mean()))),
+            "", (("angular damping", unevenness(lost)),),
         ),
         LawValues(
             f"{name}_period", f"period of the rotation of {name}", "s",
             tuple(period for period, _ in periods), tuple(map(float, predicted)),
             dt / fewest, "dt over the periods measured",
             (("mass", 0.0), ("middle moment", float(slope.mean()) if len(slope) else 0.0)),
-            "no whole period was recorded",
+            "no whole period was recorded", (("middle moment", unevenness(slope)),),
         ),
     ]  # fmt: skip
+
+
+def _damped(begun: Array, ended: Array, gained: Array, tolerance: float) -> tuple[Array, Array]:
+    """What a damping of c takes by the end, T seconds later, over c T: of the size of the error of the momentum, and,
+    over 2 c T, of the energy, [env].
+
+    begun, ended  angular momentum [env, 3]
+    gained        energy over that of the start, minus 1
+    tolerance     of the momentum
+
+    A damping shortens the momentum along itself, so that the size of its error L - L0 grows by the cosine between the
+    error and -L. An error far below the tolerance is nothing beside a change that shows: its direction says nothing.
+    What drifts by a first-order method drifts by the share omega^2 dt in a second, so that a body that is damped, and
+    slower by c T / 2 on average, drifts less: with the momentum r |L0| at the end, by -c T ln r.
+    """
+    sizes, error = np.linalg.norm(begun, axis=-1), ended - begun
+    off = np.linalg.norm(error, axis=-1)
+    kept = np.maximum(np.linalg.norm(ended, axis=-1) / sizes, _SMALL)
+    energy = np.maximum(1.0 + gained, _SMALL)
+    lost = energy * (1.0 + np.log(energy) / 2.0)
+    if float((off / sizes).mean()) <= _SHARE * tolerance:
+        return np.ones(len(off)), lost
+    cosine = -np.divide((error * ended).sum(axis=-1), off * sizes, out=np.zeros(len(off)), where=off > 0.0)
+    return cosine * (1.0 + np.log(kept)), lost
 
 
 def _moments(recording: Recording, items: tuple[tuple[str, str], ...]) -> Array:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.states import States, Walk, drawn_envs
+from gpusimbench.evaluator.statistics.cases import variation
 
 Array = npt.NDArray[np.float64]
 
@@ -88,6 +89,12 @@ def cycles(time: Array, value: Array) -> tuple[float, int]:
         return math.nan, 0
     first, last = (float(time[i] - value[i] * (time[i + 1] - time[i]) / (value[i + 1] - value[i])) for i in at[[0, -1]])
     return (last - first) / (len(at) - 1), len(at) - 1
+
+
+def unevenness(effects: Array) -> float:
+    """How unevenly a change of a parameter moves environments, from the derivative of each [env]: the coefficient of
+    variation; infinite where some move up and others down, since the mean then says little of them."""
+    return math.inf if (effects < 0.0).any() and (effects > 0.0).any() else variation(effects)
 
 
 def _drawn(recording: Recording) -> tuple[tuple[int, int], ...]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from gpusimbench.evaluator.metrics.physics.closed_form import pendulum_period
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of
+from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of, unevenness
 from gpusimbench.evaluator.runs.physics.facts import LawValues
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
@@ -39,6 +39,7 @@ def pendulum_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
         changed, work = _change(time, energy, speed[:, env], periods[-1])
         energies.append(changed)
         works.append(work)
+    taken = np.array([work for work in works if math.isfinite(work)])
     predicted = pendulum_period(amplitude, small)
     dt = recording.configuration.dt
     fewest = max(1.0, float(np.floor(time[-1] / predicted.max())) - 1.0)
@@ -51,7 +52,8 @@ def pendulum_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
         LawValues(
             "energy_change", "energy of the last period above that of the first, over it", "",
             tuple(energies), (0.0,) * len(energies), (2.0 * math.pi * dt / small) ** 2, "(omega dt)^2",
-            (("mass", 0.0), ("damping", -_finite_mean(works))), _NO_PERIOD,
+            (("mass", 0.0), ("damping", -float(taken.mean()) if len(taken) else 0.0)), _NO_PERIOD,
+            (("damping", unevenness(taken)),),
         ),
     )  # fmt: skip
 
@@ -84,8 +86,3 @@ def _change(time: Array, energy: Array, speed: Array, period: float) -> tuple[fl
         return math.nan, math.nan
     lost = float((speed**2).mean()) * (time[-1] - period)
     return float(energy[last].mean()) / before - 1.0, lost / before
-
-
-def _finite_mean(values: list[float]) -> float:
-    finite = [value for value in values if math.isfinite(value)]
-    return sum(finite) / len(finite) if finite else 0.0
