@@ -330,6 +330,7 @@ def test_numbers_of_an_engine_stand_before_those_of_a_model(tmp_path: Path) -> N
     assert list(model.numeric_adr) == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_a_model_with_numbers_of_its_own_keeps_its_contacts(tmp_path: Path) -> None:
     """Let a ball come to rest on a plane in MJX; it fell through."""
     pytest.importorskip("mujoco.mjx")
