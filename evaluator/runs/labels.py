@@ -101,12 +101,15 @@ def footnotes(keys: Sequence[GroupKey]) -> list[tuple[str, ...]]:
     """For each key, sentences on its protocol and environment variables where these differ from its others.
 
     The protocol of the throughput phase is compared with the most common one of the scene, of all simulators, since
-    throughputs are; environment variables with those of the same simulator in the scene, without flags that its level
-    of determinism sets.
+    throughputs are; environment variables with those of the same simulator in the scene on the same device, without
+    flags that its level of determinism sets: another device is another machine, with variables of its own.
     """
     usual = {scene: _usual_protocol([k for k in keys if k.scene == scene]) for scene in {k.scene for k in keys}}
     return [
-        (*_protocol_note(key, usual[key.scene]), *_variable_notes(key, [k for k in keys if _rivals(key, k)]))
+        (
+            *_protocol_note(key, usual[key.scene]),
+            *_variable_notes(key, [k for k in keys if _rivals(key, k) and k.device == key.device]),
+        )
         for key in keys
     ]
 

@@ -120,6 +120,14 @@ def test_protocol_stands_in_a_footnote(tmp_path: Path) -> None:
     assert said["synthetic [impl=warp]"] == (variable.replace("=--xla_dump_to=x", "=unset"),)
 
 
+@pytest.mark.parametrize(("cpu", "notes"), [("test", 2), ("another", 0)])
+def test_variables_of_another_device_are_no_note(tmp_path: Path, cpu: str, notes: int) -> None:
+    """Compare environment variables on one device alone: those of another machine differ anyway."""
+    kinds: list[dict[str, Any]] = [{"environment": {"OMP_NUM_THREADS": "1"}}, {"cpu": cpu}]
+    keys = [g.key for g in group([open_recording(write_recording(tmp_path, grid(1), **kind)) for kind in kinds])]
+    assert sum(map(len, footnotes(keys))) == notes
+
+
 def test_what_alone_tells_groups_apart_is_named(tmp_path: Path) -> None:
     """Name the protocol, or an environment variable, where nothing else differs: labels stay unique."""
     assert named(tmp_path, {"warmup": 20, "elapsed_s": 2.0}, {"warmup": 100, "elapsed_s": 2.0}) == [
