@@ -10,8 +10,10 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.trial_units import Extent, extent_of
+from gpusimbench.schemas.view.geometry import GEOMETRY
 
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
+_FAR_M = 1e6
 
 
 def board_of(recording: Recording) -> Board | None:
@@ -32,23 +34,27 @@ def board_of(recording: Recording) -> Board | None:
 
 
 def supports_of(recording: Recording) -> tuple[Support, ...]:
-    """Ground planes and level boxes among the scene's fixed bodies; DamagedRecording where one is unreadable.
+    """Ground planes and level boxes among the scene's fixed bodies, and the floors of a model file; DamagedRecording
+    where one is unreadable.
 
     What is inclined holds bodies up as well, but has no one height; nothing is said of it.
     """
     try:
         bodies = [b for b in checks.objects(recording.scene, "bodies") if b.get("mass") is None]
-        return tuple(support for body in bodies if (support := _support(body)))
+        floors = [_ground(height) for height, _ in _floors(recording)]
+        return tuple(floors + [support for body in bodies if (support := _support(body))])
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path}: {error}") from None
 
 
 def radius_of(recording: Recording, group: str) -> float:
-    """Half the diagonal of the largest box of a group of bodies [m]; 0 where it has none."""
+    """Half the diagonal of the largest box of a group of bodies, or how far a model's free bodies reach [m]; 0 where
+    there is neither."""
     try:
         bodies = [b for b in checks.objects(recording.scene, "bodies") if b.get("group") == group]
         shapes = [shape for body in bodies if (shape := checks.mapping(body, "shape")).get("kind") == "box"]
-        return max((math.hypot(*checks.vector(s.get("size"), 3, "a box's size")) / 2 for s in shapes), default=0.0)
+        halves = [math.hypot(*checks.vector(s.get("size"), 3, "a box's size")) / 2 for s in shapes]
+        return max([*halves, *(reach for _, reach in _floors(recording))], default=0.0)
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path}: {error}") from None
 
@@ -61,6 +67,20 @@ def extent_of_trials(recording: Recording, group: str) -> Extent | None:
         raise DamagedRecording(f"{recording.path}: {error}") from None
 
 
+def _floors(recording: Recording) -> list[tuple[float, float]]:
+    # of a model file: heights, and how far what stands on them reaches from its origin [m]
+    text = recording.attachment(GEOMETRY)
+    floors = checks.objects(checks.load(GEOMETRY, text), "floors") if text is not None else []
+    return [
+        (checks.number(floor, "height", -_FAR_M, _FAR_M), checks.number(floor, "reach", 0.0, _FAR_M))
+        for floor in floors
+    ]
+
+
+def _ground(height: float) -> Support:
+    return Support(height, (-math.inf, -math.inf), (math.inf, math.inf))
+
+
 def _support(body: dict[str, Any]) -> Support | None:
     shape = checks.mapping(body, "shape")
     if shape.get("kind") not in ("box", "plane"):
@@ -69,6 +89,6 @@ def _support(body: dict[str, Any]) -> Support | None:
         return None
     x, y, z = checks.vector(body.get("position"), 3, "a body's position")
     if shape["kind"] == "plane":
-        return Support(z, (-math.inf, -math.inf), (math.inf, math.inf))
+        return _ground(z)
     length, width, height = checks.vector(shape.get("size"), 3, "a box's size")
     return Support(z + height / 2, (x - length / 2, y - width / 2), (x + length / 2, y + width / 2))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.model.contents import moving
 from gpusimbench.recorder.scenes.model.scene import BALLS, BODIES, JOINTS
+from gpusimbench.recorder.simulators.mujoco.floors import floors_of
 from gpusimbench.schemas.view.geometry import MAX_SHAPES
 from gpusimbench.schemas.view.shapes import MAX_LINKS
 
@@ -60,6 +61,8 @@ def geometry_of(model: Any) -> bytes:
         for body in range(model.nbody)
     ]
     record = {"bodies": bodies, "meshes": shapes.meshes, "simplified": list(shapes.simplified())}
+    if floors := floors_of(model):
+        record["floors"] = floors
     return json.dumps(record, separators=(",", ":")).encode()
 
 
