@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.leaders import fastest
+from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import call
 from tests.scripts import script
@@ -112,6 +114,16 @@ def test_replays_on_another_machine_are_bit_identical(name: str) -> None:
     there, here = (open_recording(path).provenance for path in (original, replay))
     assert there.host["threads"] != here.host["threads"]
     assert there.run_id != here.run_id
+
+
+@pytest.mark.slow
+def test_errors_of_tosses_bar_throughputs_of_more_environments() -> None:
+    """Name no configuration fastest with 4,096 environments that breaks mechanics with 48, which begin otherwise."""
+    tosses = ROOT / "recordings" / "cube-toss-h100"
+    (found,) = fastest(evaluate_files(sorted(tosses.glob("*.mcap"))).results)
+    assert found.first is not None
+    options = json.loads(found.first.result.group.key.options)
+    assert (found.first.result.group.key.simulator, options["cone"]) == ("warp", "elliptic")
 
 
 @pytest.mark.slow

@@ -67,8 +67,11 @@ def _held_against(result: GroupResult, engine: GroupKey, other: GroupResult) -> 
 
 
 def _engine(result: GroupResult) -> GroupKey:
-    # packages, driver and variables may differ a little between scenes: what is wrong with one is held against all
-    return replace(settings_asked(result.group.recordings), conditions="", switches="")
+    # packages, driver and variables may differ a little between scenes: what is wrong with one is held against all.
+    # Given states, such as tosses, are others with another number of environments
+    asked = settings_asked(result.group.recordings)
+    initial = "" if asked.initial.startswith("states:") else asked.initial
+    return replace(asked, conditions="", switches="", initial=initial)
 
 
 def _begun_anyhow(engine: GroupKey) -> GroupKey:

@@ -164,7 +164,7 @@ def key_of(recording: Described) -> GroupKey:
         warmup=c.warmup if timed else 0,
         timed_steps=c.timed_steps if timed else 0,
         determinism=c.determinism,
-        options=_canonical(_without(simulation.options if simulation else c.options, _FOLLOWING)),
+        options=_canonical(_in_force(simulation.options if simulation else c.options)),
         # the level that was asked for has a place of its own, and so have the versions of packages
         switches=_canonical(_without(simulation.switches, ("determinism", *conditions))) if simulation else "",
         conditions=_canonical(conditions),
@@ -181,6 +181,12 @@ def key_of(recording: Described) -> GroupKey:
 # what follows from the scene or from the number of environments, and is no choice: rows that wait on the device to be
 # read, the form of a matrix
 _FOLLOWING = ("ring", "sparse")
+
+
+def _in_force(options: Mapping[str, Any]) -> dict[str, Any]:
+    # an option without a value does nothing, and an older recorder may not have had it
+    return {name: value for name, value in _without(options, _FOLLOWING).items() if value is not None}
+
 
 # which devices are visible is said by the device; these packages carry numbers and do not compute them
 _NOT_NUMERIC = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "mcap", "protobuf")

@@ -120,6 +120,15 @@ def test_protocol_stands_in_a_footnote(tmp_path: Path) -> None:
     assert said["synthetic [impl=warp]"] == (variable.replace("=--xla_dump_to=x", "=unset"),)
 
 
+def test_an_option_without_a_value_parts_no_groups(tmp_path: Path) -> None:
+    """Take a recorder that names an option, and gives it no value, for one that does not have the option yet."""
+    files = [
+        write_recording(tmp_path, grid(1), run=run, in_force={"solver": "xpbd", **more})
+        for run, more in enumerate(({}, {"mujoco_solver": None}))
+    ]
+    assert len(group([open_recording(file) for file in files])) == 1
+
+
 @pytest.mark.parametrize(("cpu", "notes"), [("test", 2), ("another", 0)])
 def test_variables_of_another_device_are_no_note(tmp_path: Path, cpu: str, notes: int) -> None:
     """Compare environment variables on one device alone: those of another machine differ anyway."""
