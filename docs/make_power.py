@@ -35,6 +35,17 @@ COUNTS: dict[str, tuple[str, ...]] = {
     "ball-drop-newton": ("--scene", "ball-drop", *_BOUNCING, "--dt", "0.01", "--parameter", "restitution"),
     "double-pendulum-rk4": ("--scene", "double-pendulum", *_RK4, "--dt", "0.01"),
     "double-pendulum": ("--scene", "double-pendulum", "--dt", "0.004"),
+    "four-bar-rk4": (
+        "--scene",
+        "four-bar",
+        *_RK4,
+        "--option",
+        "solref=0.002 1",
+        "--dt",
+        "0.002",
+        "--repetitions",
+        "20",
+    ),
     "loaded-dice": ("--n-env", "16", "--shares", "0,0.3,0.38"),
 }
 """Arguments of benchmarks.law_power, and of benchmarks.loaded_dice, by the name of the file of their table."""
@@ -53,8 +64,8 @@ def count(folder: Path, chosen: list[str]) -> None:
         if out.exists() or (chosen and name not in chosen):
             continue
         script = "loaded_dice" if name == _DICE else "law_power"
-        command = [sys.executable, "-m", f"benchmarks.{script}", *arguments, "--seed", f"{FRESH}"]
-        command += ["--repetitions", f"{REPETITIONS}", "--out", str(out)]
+        command = [sys.executable, "-m", f"benchmarks.{script}", "--repetitions", f"{REPETITIONS}"]
+        command += [*arguments, "--seed", f"{FRESH}", "--out", str(out)]
         done = subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
         print(f"{name}: exit code {done.returncode}", flush=True)
 
