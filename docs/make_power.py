@@ -8,6 +8,7 @@ What FOLDER has already is not counted again; with names of counts, no others ar
 
 from __future__ import annotations
 
+import shlex
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -42,7 +43,7 @@ COUNTS: dict[str, tuple[str, ...]] = {
         "--option",
         "solref=0.002 1",
         "--dt",
-        "0.002",
+        "0.005",
         "--repetitions",
         "20",
     ),
@@ -137,7 +138,7 @@ def block(folder: Path) -> str:
         text, found = file.read_text(encoding="utf-8").strip(), dict[int, list[Rate]]()
         if name != _DICE:
             text, found = drawn(text)
-        shown.append(f"`{' '.join(COUNTS[name])}`\n\n{text}")
+        shown.append(f"`{shlex.join(COUNTS[name])}`\n\n{text}")
         for column, some in found.items():
             rates.setdefault(column, []).extend(some)
     return "\n\n".join([*shown, total(rates)])
