@@ -1,7 +1,8 @@
 """Changes of an engine's parameters, each of the size that a law in closed form claims to notice.
 
-The engine is given another scene than the recording declares (friction, restitution, gravity, damping of joints). What
-no scene says (moments of inertia, angular damping, centres of mass) is changed in the model that MuJoCo C has built.
+The engine is given another scene than the recording declares (friction, restitution, gravity, damping of joints, masses
+of links and lengths of those that close a loop). What no scene says (moments of inertia, angular damping, centres of
+mass) is changed in the model that MuJoCo C has built.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import mujoco
 import numpy as np
 
 from gpusimbench import Scene
-from gpusimbench.recorder.scenes.base import IDENTITY, Body, Link
+from gpusimbench.recorder.scenes.base import IDENTITY, Body, Link, Robot
 
 WHOLE = frozenset({"gravity", "restitution"})
 """Parameters that a scene has once, so that one recording has one change of them; restitution is that of all surfaces,
@@ -33,7 +34,8 @@ class Change:
 
     parameter  as of LawValues.slopes
     subject    name of the body, of the lane, or of the pendulum whose joints begin so; not looked at for WHOLE, nor for
-               "centre of mass", which is that of every body that moves
+               "centre of mass", which is that of every body that moves, nor for the damping of a robot that is one
+               mechanism, nor for parameters that name a link
     size       what is added: a share of the parameter, N m s/rad of a joint, 1/s of a body's angular damping, or metres
                by which the centre of mass is moved toward +z of the body
     """
@@ -49,8 +51,9 @@ def changed_scene(scene: Scene, changes: Sequence[Change]) -> Scene:
     x, y, z = scene.gravity
     robot = scene.robot
     if robot is not None:
-        alone = len(robot.joints()) == 1
+        alone = len(robot.joints()) == 1 or robot.loop is not None
         robot = replace(robot, links=tuple(_link(link, changes, alone=alone) for link in robot.links))
+        robot = _closed(robot, changes)
     bodies = tuple(_body(body, changes) for body in scene.bodies)
     return replace(scene, gravity=(x * down, y * down, z * down), bodies=bodies, robot=robot)
 
@@ -72,6 +75,11 @@ def _body(body: Body, changes: Sequence[Change]) -> Body:
 
 
 def _link(link: Link, changes: Sequence[Change], *, alone: bool) -> Link:
+    factor = 1.0 + sum(one.size for one in changes if one.parameter == f"{link.name}'s mass")
+    if factor != 1.0:
+        was = link.inertial
+        xx, yy, zz, xy, xz, yz = (factor * moment for moment in was.inertia)
+        link = replace(link, inertial=replace(was, mass=was.mass * factor, inertia=(xx, yy, zz, xy, xz, yz)))
     if link.joint is None:
         return link
     added = sum(
@@ -79,6 +87,26 @@ def _link(link: Link, changes: Sequence[Change], *, alone: bool) -> Link:
         if one.parameter == "damping" and (alone or link.name.startswith(f"{one.subject}_"))
     )  # fmt: skip
     return replace(link, joint=replace(link.joint, friction=link.joint.friction + added))
+
+
+def _closed(robot: Robot, changes: Sequence[Change]) -> Robot:
+    """The robot with the pin of its loop farther along coupler and rocker, whose masses stay where they are, at angles
+    that close this loop."""
+    if robot.loop is None:
+        return robot
+    on_coupler, on_rocker = (
+        (along * (1.0 + sum(one.size for one in changes if one.parameter == f"{link}'s length")), y, z)
+        for link, (along, y, z) in (
+            (robot.loop.coupler, robot.loop.on_coupler),
+            (robot.loop.rocker, robot.loop.on_rocker),
+        )
+    )
+    if (on_coupler, on_rocker) == (robot.loop.on_coupler, robot.loop.on_rocker):
+        return robot
+    longer = replace(robot, loop=replace(robot.loop, on_coupler=on_coupler, on_rocker=on_rocker))
+    linkage = longer.four_bar()
+    assert linkage is not None  # there is a loop
+    return replace(longer, start=tuple(linkage.angles(robot.start[0]).tolist()))
 
 
 def change_model(model: Any, changes: Sequence[Change]) -> None:

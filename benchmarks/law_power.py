@@ -51,6 +51,7 @@ SPREAD = {
     "ball-drop": 0.5,
     "double-pendulum": 0.8,
     "dice-drop": 0.8,
+    "four-bar": 0.8,
 }
 """Of --initial, by scene, as docs/physics.md records them."""
 
@@ -105,14 +106,16 @@ def record(setting: Setting, changes: Sequence[Change], seed: int, measure: Call
     built = any(one.parameter in BUILT for one in changes)
     # a batch steps models of its own, mj_step the model that is changed; both give the same bits
     options = {"stepping": "mj_step"} if built else {}
-    simulator = made_of(setting, changed_scene(declared, changes), seed, options)
+    engines = changed_scene(declared, changes)
+    simulator = made_of(setting, engines, seed, options)
     path = setting.folder / f"{seed}.mcap"
     steps = round(declared.sample_time / setting.dt)
     try:
         made = simulator.build()
         if built and isinstance(simulator, MujocoC):
             change_model(simulator._compiled.model, changes)
-        start = initial.states(Initial(SPREAD[setting.scene]), declared, made.fields, simulator.state(), seed)
+        # a loop begins closed with the lengths that the engine has
+        start = initial.states(Initial(SPREAD[setting.scene]), engines, made.fields, simulator.state(), seed)
         simulator.set_state(start)
         simulator.compile("capture")
         writer = RecordingWriter(

@@ -8,6 +8,7 @@ What FOLDER has already is not counted again; with names of counts, no others ar
 
 from __future__ import annotations
 
+import shlex
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -23,6 +24,7 @@ FRESH = 1_000_001
 """Of the first recording. The formulas of the claims were chosen on recordings of seeds below."""
 
 _RK4 = ("--option", "integrator=RK4")
+_STIFF = ("--option", "solref=0.002 1")
 _BOUNCING = ("--sim", "newton", "--option", "solver=xpbd", "--option", "restitution=on")
 COUNTS: dict[str, tuple[str, ...]] = {
     "pendulum-10ms": ("--scene", "pendulum", "--dt", "0.01"),
@@ -35,6 +37,7 @@ COUNTS: dict[str, tuple[str, ...]] = {
     "ball-drop-newton": ("--scene", "ball-drop", *_BOUNCING, "--dt", "0.01", "--parameter", "restitution"),
     "double-pendulum-rk4": ("--scene", "double-pendulum", *_RK4, "--dt", "0.01"),
     "double-pendulum": ("--scene", "double-pendulum", "--dt", "0.004"),
+    "four-bar-rk4": ("--scene", "four-bar", *_RK4, *_STIFF, "--dt", "0.005", "--repetitions", "20"),
     "loaded-dice": ("--n-env", "16", "--shares", "0,0.3,0.38"),
 }
 """Arguments of benchmarks.law_power, and of benchmarks.loaded_dice, by the name of the file of their table."""
@@ -53,8 +56,8 @@ def count(folder: Path, chosen: list[str]) -> None:
         if out.exists() or (chosen and name not in chosen):
             continue
         script = "loaded_dice" if name == _DICE else "law_power"
-        command = [sys.executable, "-m", f"benchmarks.{script}", *arguments, "--seed", f"{FRESH}"]
-        command += ["--repetitions", f"{REPETITIONS}", "--out", str(out)]
+        command = [sys.executable, "-m", f"benchmarks.{script}", "--repetitions", f"{REPETITIONS}"]
+        command += [*arguments, "--seed", f"{FRESH}", "--out", str(out)]
         done = subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
         print(f"{name}: exit code {done.returncode}", flush=True)
 
@@ -126,7 +129,7 @@ def block(folder: Path) -> str:
         text, found = file.read_text(encoding="utf-8").strip(), dict[int, list[Rate]]()
         if name != _DICE:
             text, found = drawn(text)
-        shown.append(f"`{' '.join(COUNTS[name])}`\n\n{text}")
+        shown.append(f"`{shlex.join(COUNTS[name])}`\n\n{text}")
         for column, some in found.items():
             rates.setdefault(column, []).extend(some)
     return "\n\n".join([*shown, total(rates)])

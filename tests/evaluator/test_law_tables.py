@@ -124,6 +124,29 @@ def test_a_change_is_that_of_the_named_lane_and_of_the_joint() -> None:
     assert dampings == {"pendulum": [1e-3], "double-pendulum": [0.0, 0.0, 1e-3, 1e-3]}
 
 
+def test_a_linkage_has_other_links() -> None:
+    """Move the pin of a loop that begins closed, give one link more mass about the same centre, and damp all joints."""
+    scene = make_scene("four-bar")
+    lengths = Change("coupler's length", "rocker", 0.01), Change("rocker's length", "coupler", -0.02)
+    robot = changed_scene(scene, [*lengths, Change("rocker's mass", "", 0.1), Change("damping", "energy", 1e-3)]).robot
+    assert robot is not None and scene.robot is not None and (linkage := robot.four_bar())
+    assert (linkage.ground, linkage.crank) == (0.6, 0.2)
+    assert (linkage.coupler, linkage.rocker) == pytest.approx((0.505, 0.392))
+    crank, coupler, rocker = robot.start
+    ends = [
+        0.2 * np.exp(1j * crank) + 0.505 * np.exp(1j * (crank + coupler)), 0.6 + 0.392 * np.exp(1j * rocker)
+    ]  # fmt: skip
+    assert crank == scene.robot.start[0] and abs(ends[0] - ends[1]) < 1e-12
+    assert [joint.friction for joint in robot.joints()] == [1e-3] * 3
+    before, after = (
+        {link.name: (link.inertial.mass, *link.inertial.inertia[:3], link.inertial.centre) for link in one.links}
+        for one in (scene.robot, robot)
+    )
+    *solid, centre = before.pop("rocker")
+    *heavier, same = after.pop("rocker")
+    assert heavier == pytest.approx(np.multiply(solid, 1.1)) and same == centre and after == before
+
+
 def test_a_scene_has_another_gravity_and_restitution() -> None:
     """Change what all bodies have in common."""
     after = changed_scene(make_scene("ball-drop"), [Change("gravity", "", 0.01), Change("restitution", "low", -0.1)])
@@ -172,6 +195,16 @@ def test_other_friction_is_noticed(tmp_path: Path) -> None:
     assert {row[-1] for row in rows} == {"0 of 2"}
     for column in (4, 7):  # 14 chances each: two or fewer misses in 97 of 100 machines that step otherwise
         assert sum(int(row[column].split()[0]) for row in rows if row[column] != "-") >= 12, shown
+
+
+@pytest.mark.slow
+def test_a_heavier_rocker_is_noticed(tmp_path: Path) -> None:
+    """See the claimed mass in a pair of recordings and in a verdict, and break no law without it."""
+    options = {"integrator": "RK4", "solref": "0.002 1"}
+    setting = Setting("mujoco", "four-bar", 0.004, tmp_path, options, only="rocker's mass")
+    (counts,) = trials(setting, 1).values()
+    assert counts.law.key == "period" and counts.pairs == counts.broken == [True]
+    assert counts.broken_unchanged == [False] and 0.0 < counts.least[0] < counts.breaks[0] < 0.1
 
 
 _COUNTED = """| step | law | change of | size | seen | without | size | broken | without |

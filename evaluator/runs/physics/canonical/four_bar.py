@@ -14,6 +14,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of
 from gpusimbench.evaluator.runs.physics.facts import LawValues
+from gpusimbench.evaluator.statistics.cases import variation
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 
@@ -39,26 +40,29 @@ def four_bar_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
         return Missing("a linkage starts at rest")
     dt, epsilon = recording.configuration.dt, float(np.finfo(recording.state("robot", "qpos").field.dtype).eps)
     # one step along the tangents parts the ends of the links by this much
-    parted = dt**2 * float(bars.towards_axes(energy[0]).mean())
+    towards = bars.towards_axes(energy[0])
+    parted = dt**2 * float(towards.mean())
     parted += epsilon * float(np.abs(angle).max()) * (bars.crank + bars.coupler + bars.rocker)
+    # a recording with other initial states has another tolerance: its environments' own differ by this share
+    uneven = variation(towards)
     return (
-        _gap(bars, angle, parted),
-        *_angles(bars, angle, parted),
+        _gap(bars, angle, parted, uneven),
+        *_angles(bars, angle, parted, uneven),
         _energy(bars, time, energy, turning, dt),
         _period(bars, time, angle[..., 0], energy[0], dt),
     )
 
 
-def _gap(bars: FourBar, angle: Array, parted: float) -> LawValues:
+def _gap(bars: FourBar, angle: Array, parted: float, uneven: float) -> LawValues:
     gap = bars.gap(*np.moveaxis(angle, -1, 0)).max(axis=0)
     return LawValues(
         "gap", "largest gap of the loop", "m", tuple(map(float, gap)), (0.0,) * len(gap), parted,
         "dt^2 times the links' accelerations towards their axes, and rounding",
-        (("mass", 0.0), ("coupler's length", bars.coupler)),
+        (("mass", 0.0), ("coupler's length", bars.coupler)), uneven=(("coupler's length", uneven),),
     )  # fmt: skip
 
 
-def _angles(bars: FourBar, angle: Array, parted: float) -> list[LawValues]:
+def _angles(bars: FourBar, angle: Array, parted: float, uneven: float) -> list[LawValues]:
     crank = angle[..., 0]
     expected = bars.angles(crank)
     least = float(np.abs(np.sin(expected[1] - expected[0])).min())
@@ -75,7 +79,7 @@ def _angles(bars: FourBar, angle: Array, parted: float) -> list[LawValues]:
                 f"{name}_angle", f"mean angle of the {name} for the crank's angles", "rad",
                 tuple(map(float, mean + off)), tuple(map(float, mean)), parted / (length * least),
                 "tolerance of the gap over the link's length and the sine of the transmission angle",
-                (("mass", 0.0), (f"{other}'s length", slope)),
+                (("mass", 0.0), (f"{other}'s length", slope)), uneven=((f"{other}'s length", uneven),),
             )
         )  # fmt: skip
     return made
