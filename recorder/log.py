@@ -155,6 +155,7 @@ class RecordingWriter:
         self._check()
         self._problems: list[tuple[str, str]] = []  # cause and sentence
         self._clocked = False
+        self._within = False  # the block of the recording
 
     def _check(self) -> None:
         check(self._configuration)
@@ -232,6 +233,7 @@ class RecordingWriter:
         except BaseException:
             self._sink.abandon()
             raise
+        self._within = True
         return self
 
     def _view(self) -> ViewWriter | None:
@@ -335,8 +337,13 @@ class RecordingWriter:
         arrays  an array, or nested dicts, tuples and lists of them; of numpy, torch, JAX and what has __array__
         states  that precede the call; None: those that were given to `append`
 
-        UsageError for another name, and for arrays of other kinds than real numbers and truth values.
+        UsageError for another name, for arrays of other kinds than real numbers and truth values, and outside of the
+        block of the recording, where nothing would be recorded.
         """
+        if not self._within:
+            raise UsageError(
+                "fingerprint is called within the block of the recording: 'with RecordingWriter(...) as log:'"
+            )
         found = arrays if isinstance(arrays, Hashed) else hashed(arrays, checked_name(name))
         with postponed():
             self._arrays.write(name, found, states=self._states.last_step + 1 if states is None else states)
@@ -349,6 +356,7 @@ class RecordingWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End the recording. DataLost where the file cannot be written."""
+        self._within = False
         with postponed():
             try:
                 if isinstance(error, DataLost):

@@ -177,5 +177,46 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         file.create_group("episode_0")
     with pytest.raises(DamagedRecording, match="has no rewards"):
         read(path)
-    (tmp_path / "metadata.json").write_text('{"env_spec": "[1]"}')
-    assert made(tmp_path / "main_data.hdf5").spec_id == ""
+    for spec in ("[1]", '{"id": "A-v0", "max_episode_steps": Infinity}'):
+        (tmp_path / "metadata.json").write_text(json.dumps({"env_spec": spec}))
+        assert made(tmp_path / "main_data.hdf5").spec_id == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("rewards", np.zeros(0), "has no episodes"),
+        ("actions", np.zeros((4, 0)), "whose actions have no numbers"),
+        ("actions", h5py.SoftLink("/rewards"), "actions is a link"),
+        ("terminals/there", np.zeros(4), "terminals is a group"),
+        ("episode_0/rewards", np.zeros((5, 2)), "rewards have the shape"),
+        ("episode_0/observations/nothing/here", np.zeros((6, 0)), "whose observations have no numbers"),
+        ("episode_0", "abc", "the seed of episode_0 is no integer"),
+        ("episode_0", [1, 2], "the seed of episode_0 is no integer"),
+        ("episode_0", -3, "the seed of episode_0 is no integer"),
+        ("bytes", 9, "is damaged, get it again"),
+    ],
+)
+def test_what_no_data_set_has(tmp_path: Path, name: str, value: Any, said: str) -> None:
+    """Say in a sentence what is wrong with an array, a link, a seed, or with bytes of the file."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        group = file.create_group("episode_0") if name.startswith("episode_0") else file
+        flags = ("terminations", "truncations") if group.name != "/" else ("timeouts",)
+        group["observations" + ("/seen" if "nothing" in name else "")] = np.ones((len(flags) + 3, 2))
+        for other, array in {
+            "rewards": np.ones(4),
+            "actions": np.ones((4, 1)),
+            **dict.fromkeys(flags, np.ones(4)),
+        }.items():
+            group[other] = array
+        if name == "episode_0":
+            group.attrs["seed"] = value
+        elif name != "bytes":
+            if name in file:
+                del file[name]
+            file[name] = value
+    if name == "bytes":
+        path.write_bytes(path.read_bytes().replace(b"TREE", b"tree"))
+    with pytest.raises(DamagedRecording, match=said):
+        read(path)

@@ -186,9 +186,16 @@ def test_a_function_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "replay bit for bit" in done.stdout and (tmp_path / "a-replay.mcap").exists()
     assert "a-replay.mcap exists" in call("gsb-replay", path, "--make", "my_walks:make", code=2, cwd=tmp_path).stderr
     assert "give --env, or --make" in call("gsb-replay", path, "--out", "b.mcap", code=2, cwd=tmp_path).stderr
-    failed = call("gsb-replay", path, "--make", "my_walks:nothing", "--out", "b.mcap", code=2, cwd=tmp_path).stderr
-    assert "my_walks:nothing failed: AttributeError" in failed
-    sys.modules.pop("my_walks")
+    (tmp_path / "my_odds.py").write_text("import sys\n\nfive = sys.exit\n\n\ndef none(n_env):\n    pass\n")
+    for made, said in (
+        ("my_walks:nothing", "failed: AttributeError"),
+        ("my_odds:five", "failed: SystemExit: 2"),
+        ("my_odds:none", "made NoneType, and no VectorEnv"),
+    ):
+        failed = call("gsb-replay", path, "--make", made, "--out", "b.mcap", code=2, cwd=tmp_path).stderr
+        assert f"--make {made} {said}" in failed
+    for name in ("my_walks", "my_odds"):
+        sys.modules.pop(name)
 
 
 def test_what_cannot_be_replayed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,7 +219,8 @@ def test_what_cannot_be_replayed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     sys.modules.pop("fails")
     failed = open_recording(tmp_path / "b.mcap")  # which says why, and stays
     assert (failed.status, failed.reason) == ("failed", "RuntimeError: no power")
-    failed.path.unlink()
+    begun = failed.path.rename(tmp_path / "begun.mcap")
+    assert "begun.mcap has no step of an episode" in complaint(begun, code=5)
     assert "gsb-audit replays runs of gsb-record" in complaint(next(RECORDINGS.glob("*.mcap")), code=5)
     assert "--episodes is of data sets" in complaint(path, "--episodes", 3, code=2)
     assert "--set is of environments of Gymnasium" in complaint(path, "--make", "a:b", "--set", "c=1", code=2)

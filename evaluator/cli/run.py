@@ -32,7 +32,7 @@ exit codes:
   2  wrong usage, or the program cannot be started
   3  a recording is damaged
   4  runs differ
-  5  there is nothing to compare: the runs wrote no recordings of the same names
+  5  there is nothing to compare, or not all of it: a recording that one run lacks or did not end
 
 examples:
   gsb-run -- python train.py --seed 3
@@ -49,7 +49,9 @@ def parser() -> argparse.ArgumentParser:
         "actions, policy, gradient and batch differs first.",
         _EPILOG,
     )
-    p.add_argument("program", nargs="+", metavar="PROGRAM", help="the program and its arguments, behind --")
+    p.add_argument(
+        "program", nargs=argparse.PARSER, metavar="PROGRAM", help="the program, and behind it all that it is given"
+    )
     p.add_argument("--runs", type=int, default=2, metavar="R", help="how many runs (default: %(default)s)")
     p.add_argument(
         "--out", type=local_path, default=Path("program-runs"), metavar="DIR",
@@ -70,14 +72,17 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.programs.document import dump_json, runs_document
     from gpusimbench.evaluator.render.terminal import print_document
 
+    program = arguments.program[1:] if arguments.program[0] == "--" else arguments.program
+    if not program or not program[0]:
+        raise UsageError("no program is named: give it behind the options, such as gsb-run -- python train.py")
     if not 2 <= arguments.runs <= _MOST_RUNS:
         raise UsageError(f"--runs must be from 2 to {_MOST_RUNS}, not {arguments.runs}")
     if not 0 <= arguments.time_limit < float("inf"):
         raise UsageError(f"--time-limit is a number of seconds, 0 for never, not {arguments.time_limit}")
     check_target(arguments.json)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # no run goes on that nobody waits for
-    runs = run_program(arguments.program, arguments.runs, arguments.out, arguments.time_limit, _say)
-    found = compare_runs(arguments.program, runs)
+    runs = run_program(program, arguments.runs, arguments.out, arguments.time_limit, _say)
+    found = compare_runs(program, runs)
     if arguments.json:
         write_json(arguments.json, dump_json(found))
     if arguments.json != "-":
@@ -90,7 +95,7 @@ def _exit_code(found: Comparison) -> ExitCode:
         return ExitCode.GATE_FAILED
     if found.failed:
         return ExitCode.FAILURE
-    return ExitCode.NOTHING_COMPARABLE if found.verdict is None else ExitCode.OK
+    return ExitCode.OK if found.whole and found.verdict is not None else ExitCode.NOTHING_COMPARABLE
 
 
 def _say(said: str) -> None:

@@ -15,7 +15,10 @@ from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.mixing import GOLDEN
 from gpusimbench.schemas.trees import leaves
 
+_LEAST, _MOST = -(1 << 63), (1 << 64) - 1  # integers that arrays hold; generators of numpy have states of 128 bits
+_WORDS = (1, 2, 4, 8)
 _LARGEST = 8  # bytes of an element
+_LONGEST = 100  # characters of a name
 _CHUNK = 1 << 22  # elements that are hashed at a time on a device
 _FACTORS = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))
 
@@ -40,9 +43,13 @@ def hashed(tree: Any, name: str) -> Hashed:
 
     name  of the whole, with which those of the arrays begin
 
-    UsageError where there is no array, or one of objects, of complex numbers or of elements of more than 8 bytes.
+    UsageError where there is no array, or one of objects, of complex numbers or of elements of more than 8 bytes, and
+    where the arrays are nested without an end.
     """
-    found = [_one(value, at) for at, value in leaves(tree, name)]
+    try:
+        found = [_one(value, at) for at, value in leaves(tree, name)]
+    except RecursionError:
+        raise UsageError(f"{name} is nested too deeply, or has itself as a member") from None
     if not found:
         raise UsageError(f"{name} has no arrays")
     return Hashed(tuple(array for array, _ in found), tuple(number for _, number in found))
@@ -76,22 +83,27 @@ class ArrayHashWriter:
 
 
 def checked_name(name: str) -> str:
-    """The name; UsageError where it is none of a topic."""
-    if topics.parse_program(topics.program(name)) is None:
-        raise UsageError(f"arrays are named by small letters, digits and _, such as policy or gradient, not {name!r}")
+    """The name; UsageError where it is none of a topic, or longer than readers take."""
+    if not isinstance(name, str) or len(name) > _LONGEST or topics.parse_program(topics.program(name)) is None:
+        raise UsageError(
+            f"arrays are named by at most {_LONGEST} small letters, digits and _, such as policy or gradient, not "
+            f"{str(name)[:_LONGEST]!r}"
+        )
     return name
 
 
 def _one(value: Any, name: str) -> tuple[str, int]:
-    if value is None or isinstance(value, str):
+    if value is None or isinstance(value, str) or (type(value) is int and not _LEAST <= value <= _MOST):
         data = np.frombuffer(repr(value).encode(), dtype=np.uint8)
-        return f"text {len(data)} {name}", array_fingerprint(data)
+        return _described("text", data.shape, name), array_fingerprint(data)
     if _is_tensor(value):
         return _described(str(value.dtype).removeprefix("torch."), value.shape, name), _tensor(value, name)
     if not hasattr(value, "__array__") and callable(getattr(value, "numpy", None)):  # Warp
         value = value.numpy()
     array = np.asarray(value)
-    plain = array.dtype.kind in "fiub" or (array.dtype.kind == "V" and array.dtype.names is None)  # V: bfloat16 of JAX
+    plain = array.dtype.kind in "fiub" or (
+        array.dtype.kind == "V" and array.dtype.names is None and array.dtype.itemsize in _WORDS
+    )  # V: bfloat16 of JAX
     if not plain or array.dtype.itemsize > _LARGEST:
         raise UsageError(
             f"{name} is {array.dtype}; arrays of real numbers or truth values, of at most 8 bytes each, are taken"
@@ -100,7 +112,8 @@ def _one(value: Any, name: str) -> tuple[str, int]:
 
 
 def _described(dtype: str, shape: Any, name: str) -> str:
-    return f"{dtype} {'x'.join(map(str, shape)) or '-'} {name}"
+    text = name.encode(errors="backslashreplace").decode()  # a key may have what UTF-8 does not
+    return f"{dtype} {'x'.join(map(str, shape)) or '-'} {text}"
 
 
 def _is_tensor(value: Any) -> bool:

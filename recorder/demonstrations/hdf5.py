@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,10 +36,16 @@ class Made:
 
 
 def file_of(path: Path) -> Path | None:
-    """The HDF5 file of a data set: a file by its suffix, or the folder of a Minari data set; None for anything else."""
-    if path.is_dir():
-        return next((one for one in (path / MINARI_FILE, path / "data" / MINARI_FILE) if one.is_file()), None)
-    return path if path.suffix in (".hdf5", ".h5") else None
+    """The HDF5 file of a data set: a file by its suffix, or the folder of a Minari data set; None for anything else.
+
+    UsageError for a folder without the file of a Minari data set.
+    """
+    if not path.is_dir():
+        return path if path.suffix in (".hdf5", ".h5") and path.exists() else None
+    for one in (path / MINARI_FILE, path / "data" / MINARI_FILE):
+        if one.is_file():
+            return one
+    raise UsageError(f"{path} is a folder without {MINARI_FILE}: give the folder of a Minari data set, or a file")
 
 
 def made(path: Path) -> Made:
@@ -51,7 +58,7 @@ def made(path: Path) -> Made:
         longest = spec.get("max_episode_steps")
         keywords = {**spec.get("kwargs", {}), **({} if longest is None else {"max_episode_steps": int(longest)})}
         return Made(str(spec["id"]), keywords, tuple(str(one["name"]) for one in spec.get("additional_wrappers", ())))
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
+    except (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError, OSError):
         return Made()
 
 
@@ -83,18 +90,26 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         file = h5py.File(path, "r")
     except OSError as error:
+        if error.errno:
+            raise NotARecording(f"cannot read {path}: {os.strerror(error.errno)}") from None
         raise NotARecording(f"{path} is no HDF5 file: {error}") from None
     with file:
-        yield file
+        try:
+            yield file
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+            # h5py has no kind of error for damaged bytes: which one it raises depends on what they were
+            raise DamagedRecording(f"{path} is damaged, get it again: {error}") from error
 
 
 def _item(path: Path, group: Any, name: str) -> Any:
-    """A member of a group; DamagedRecording where there is none, or where it lies in another file."""
+    """A member of a group; DamagedRecording where there is none, or where it is a link or lies in another file."""
     import h5py
 
     for part in name.split("/"):
         link = group.get(part, getlink=True) if isinstance(group, h5py.Group) else None
-        if not isinstance(link, h5py.HardLink):
+        if link is not None and not isinstance(link, h5py.HardLink):
+            raise DamagedRecording(f"{path}: {name} is a link, and none is followed")
+        if link is None:
             raise DamagedRecording(f"{path} has no {name}")
         group = group[part]
     if isinstance(group, h5py.Dataset) and (group.external or group.is_virtual or group.nbytes > _MOST_BYTES):
@@ -107,7 +122,10 @@ def _has(group: Any, name: str) -> bool:
 
 
 def _array(path: Path, group: Any, name: str) -> NDArray[Any]:
-    found = np.asarray(_item(path, group, name)[()])
+    item = _item(path, group, name)
+    if hasattr(item, "keys"):
+        raise DamagedRecording(f"{path}: {name} is a group, and no array of numbers")
+    found = np.asarray(item[()])
     if found.dtype.kind not in "fiub" or not found.ndim:
         raise DamagedRecording(f"{path}: {name} is no array of numbers")
     return found
@@ -130,7 +148,6 @@ def _of_group(path: Path, group: Any) -> Demonstration:
     """Of a Minari episode."""
     rewards = _array(path, group, "rewards")
     flags = [_array(path, group, name) for name in ("terminations", "truncations")]
-    seed = group.attrs.get("seed")
     physics = {}
     if _has(group, "infos") and all(_has(group["infos"], name) for name in ("qpos", "qvel")):
         physics = {name: _array(path, group, f"infos/{name}")[: len(rewards)] for name in ("qpos", "qvel")}
@@ -142,16 +159,28 @@ def _of_group(path: Path, group: Any) -> Demonstration:
             rewards=rewards,
             terminated=bool(flags[0][-1:].any()),
             truncated=bool(flags[1][-1:].any()),
-            seed=None if seed is None else int(seed),
+            seed=_seed(path, group),
             physics=physics,
         ),
     )
+
+
+def _seed(path: Path, group: Any) -> int | None:
+    """Of the reset that began a Minari episode."""
+    seed = group.attrs.get("seed")
+    if seed is None:
+        return None
+    if not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise DamagedRecording(f"{path}: the seed of {group.name.lstrip('/')} is no integer of at least 0")
+    return int(seed)
 
 
 def _of_flat(path: Path, file: Any) -> Iterator[Demonstration]:
     """Of a D4RL file, whose arrays [step, ...] hold all episodes one after another."""
     rewards = _array(path, file, "rewards").reshape(-1)
     n = len(rewards)
+    if not n:
+        return
     ends = {
         name: _array(path, file, name).reshape(-1) != 0 if _has(file, name) else np.zeros(n, dtype=np.bool_)
         for name in ("terminals", "timeouts")
@@ -186,8 +215,13 @@ def _of_flat(path: Path, file: Any) -> Iterator[Demonstration]:
 
 def _checked(path: Path, found: Demonstration) -> Demonstration:
     n = len(found)
-    if not n or found.rewards.ndim != 1:
+    if not n:
         raise DamagedRecording(f"{path} has an episode without a step")
+    if found.rewards.ndim != 1:
+        raise DamagedRecording(f"{path}: rewards have the shape {found.rewards.shape}, and not one number a step")
+    for what, arrays in (("observations", found.observations), ("actions", found.actions)):
+        if not arrays or not all(array.size for array in arrays.values()):
+            raise DamagedRecording(f"{path} has an episode whose {what} have no numbers")
     if any(len(array) not in (n, n + 1) for array in found.observations.values()) or any(
         len(array) != n for array in (*found.actions.values(), *found.physics.values())
     ):

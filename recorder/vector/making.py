@@ -43,7 +43,7 @@ def of_factory(name: str, n_env: int) -> Any:
 
     name  "module:function", in the present folder or installed; the function takes the number of environments
 
-    UsageError where there is no such function, or it fails.
+    UsageError where there is no such function, it fails, or makes something else.
     """
     module, _, function = name.partition(":")
     if not module or not function:
@@ -52,6 +52,9 @@ def of_factory(name: str, n_env: int) -> Any:
     if here not in sys.path:
         sys.path.append(here)  # last, so that no file there hides a package
     try:
-        return getattr(import_module(module), function)(n_env)
-    except Exception as error:
+        made = getattr(import_module(module), function)(n_env)
+    except (Exception, SystemExit) as error:  # SystemExit: a script without a guard of its main part
         raise UsageError(f"--make {name} failed: {type(error).__name__}: {error}") from error
+    if not hasattr(made, "num_envs"):
+        raise UsageError(f"--make {name} made {type(made).__name__}, and no VectorEnv")
+    return made

@@ -142,14 +142,20 @@ def test_a_program_that_fails(tmp_path: Path) -> None:
     assert reason in said
 
 
-@pytest.mark.slow
-def test_nothing_to_compare(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("more", "verdict", "beginning"),
+    [
+        ("; record('a.mcap', 1)", "bit-identical", "The 2 runs are equal bit for bit as far as compared: a.mcap."),
+        pytest.param("", None, "No verdict: the runs have no recordings to compare.", marks=pytest.mark.slow),
+    ],
+)
+def test_not_all_is_compared(tmp_path: Path, more: str, verdict: str | None, beginning: str) -> None:
     """End with 5 where a recording is of one run alone, and name it."""
-    words = program(tmp_path, "record(os.environ['GSB_RUN'][-1] + '.mcap', 1)")
+    words = program(tmp_path, f"record(os.environ['GSB_RUN'][-1] + '.mcap', 1){more}")
     said, found = gsb_run(tmp_path, words, code=ExitCode.NOTHING_COMPARABLE)
-    assert found["verdict"] is None
+    assert found["verdict"] == verdict
     assert found["left_out"] == ["0.mcap: written by run 0 of 2 runs", "1.mcap: written by run 1 of 2 runs"]
-    assert said.startswith("No verdict: the runs have no recordings to compare.")
+    assert said.startswith(beginning)
 
 
 @pytest.mark.slow
@@ -180,8 +186,8 @@ def test_wrong_usage(tmp_path: Path) -> None:
     assert list((tmp_path / "program-runs").iterdir()) == []
     for wrong in (("--runs", "1"), ("--time-limit", "-1")):
         call("gsb-run", *wrong, "--", "true", cwd=tmp_path, code=ExitCode.USAGE)
-    for _ in range(2):
-        call("gsb-run", "--", "true", cwd=tmp_path, code=ExitCode.NOTHING_COMPARABLE)
+    for words in (("--", "true"), ("true", "--runs", "x")):  # options of the program need no dashes before it
+        call("gsb-run", *words, cwd=tmp_path, code=ExitCode.NOTHING_COMPARABLE)
     assert sorted(path.name for path in (tmp_path / "program-runs").iterdir()) == [f"run-{i}" for i in range(4)]
 
 

@@ -51,10 +51,18 @@ def test_names_dtypes_and_shapes_are_those_of_the_tree() -> None:
         "float32 2x3 policy/layers/0/w", "float64 - policy/layers/1", "float64 - policy/betas/0",
         "text 4 policy/betas/1", "text 5 policy/mode",
     )  # fmt: skip
+    assert hashed({"\udc80": 2**64}, "rng").arrays == ("text 20 rng/\\udc80",)  # no UTF-8, and no 64 bits
     assert len(set(found.hashes)) == len(found.hashes)
 
 
-@pytest.mark.parametrize("value", [np.zeros(2, complex), np.array([object()]), {}, np.array(["a"])])
+_ENDLESS: list[object] = []
+_ENDLESS.append(_ENDLESS)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [np.zeros(2, complex), np.array([object()]), {}, np.array(["a"]), np.zeros(2, "V5"), np.zeros(2, "V0"), _ENDLESS],
+)
 def test_other_values_are_refused(value: object) -> None:
     """Refuse what has no words, and a tree without arrays."""
     with pytest.raises(UsageError, match="batch"):
@@ -106,12 +114,18 @@ def test_updates_are_recorded_in_the_order_of_the_calls(tmp_path: Path) -> None:
     assert gradient.states.tolist() == [6]
 
 
-def test_a_name_that_is_no_topic_is_refused(tmp_path: Path) -> None:
-    """Name the name, and record on."""
-    with writer(tmp_path / "a.mcap") as log:
-        with pytest.raises(UsageError, match="'My policy'"):
-            log.fingerprint("My policy", np.zeros(3))
+def test_what_would_not_be_read_is_refused(tmp_path: Path) -> None:
+    """Name the name, and record on; outside of the block nothing is recorded, so that it is an error."""
+    log = writer(tmp_path / "a.mcap")
+    with pytest.raises(UsageError, match="within the block"):
+        log.fingerprint("policy", np.zeros(3))
+    with log:
+        for name in ("My policy", "p" * 101):
+            with pytest.raises(UsageError, match=f"not '{name[:100]}'"):
+                log.fingerprint(name, np.zeros(3))
         log.append(*states())
+    with pytest.raises(UsageError, match="within the block"):
+        log.fingerprint("policy", np.zeros(3))
     assert open_recording(tmp_path / "a.mcap").status == "complete"
 
 

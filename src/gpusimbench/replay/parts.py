@@ -62,6 +62,8 @@ def parts_of(recording: Recording) -> list[list[Part]]:
             raise NothingComparable(f"{recording.path}: episodes of environment {env} are missing")
         actions = {name: array.astype(dtypes[name]) for name, array in episode.actions.items()}
         parts[env].append(Part(actions, seeds.get((env, number)), states.get((env, number))))
+    if not any(parts):
+        raise NothingComparable(f"{recording.path} has no step of an episode")
     return parts
 
 
