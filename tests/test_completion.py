@@ -65,7 +65,7 @@ def test_options_and_names(folder: Path) -> None:
     assert completed("gsb-record --det", folder) == {"--determinism"}
     assert completed("gsb-record --sim mu", folder) == {"mujoco"}
     assert {"warp", "real"} <= completed("gsb-record --sim ", folder)
-    assert completed("gsb-record --sim mujoco --scene f", folder) == {"free-body", "free-fall", "franka"}
+    assert completed("gsb-record --sim mujoco --scene fr", folder) == {"free-body", "free-fall", "franka"}
     assert completed("gsb-record --setup gen", folder) == {"genesis"}
     assert completed("gsb-record --compression z", folder) == {"zstd"}
     assert completed("gsb-audit --require bit", folder) == {"bit-identical"}
