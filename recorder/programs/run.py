@@ -65,7 +65,7 @@ def new_folder(out: Path) -> Path:
 def run_program(
     command: Sequence[str], folder: Path, *, time_limit: float, gpus: Gpus, interruptions: Interruptions
 ) -> ProgramRun:
-    """Run a program to its end; all that it started ends with it.
+    """Run a program to its end; what it started ends with it, but for processes that made sessions of their own.
 
     command     the program and its arguments
     folder      of the run; the environment variable VARIABLE names it to the program
