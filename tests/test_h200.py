@@ -39,6 +39,7 @@ def test_documents_show_what_the_files_say(tables: Any, evaluation: Any) -> None
         assert path.read_text(encoding="utf-8") == page, f"{path.name}: run make figures"
 
 
+@pytest.mark.slow
 def test_rules_not_met_are_counted(evaluation: Any) -> None:
     """Count as gsb-check --protocol does, over the whole set and over its groups."""
     assert evaluation.unmet.findings == {
@@ -49,6 +50,7 @@ def test_rules_not_met_are_counted(evaluation: Any) -> None:
     assert sum(result.timed.unmet.count for result in evaluation.results) == 362  # one window, five groups
 
 
+@pytest.mark.slow
 def test_prices_are_those_of_levels(evaluation: Any) -> None:
     """Price six levels, of which two cannot be told apart from the default; no group at the default level."""
     prices = {p.result.label: p for family in evaluation.price_list for p in family.prices}
@@ -60,6 +62,7 @@ def test_prices_are_those_of_levels(evaluation: Any) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_nobody_is_named_whose_runs_are_wrong(evaluation: Any) -> None:
     """Bar what is INVALID or breaks mechanics in any scene; keep the levels of MJX among the reproducible."""
     compared = evaluation.comparison

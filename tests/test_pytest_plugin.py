@@ -135,6 +135,7 @@ def test_failures_and_what_is_kept(tmp_path: Path, site: str) -> None:
     assert "items " not in found.stdout
 
 
+@pytest.mark.slow
 def test_recordings_of_failures_are_not_written_over(tmp_path: Path, site: str) -> None:
     """Keep the recordings of a test that fails twice, and nothing where nothing is to be kept."""
     suite = (

@@ -238,6 +238,7 @@ def test_devices_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "at v0 to v2 (3 points)" in note
 
 
+@pytest.mark.slow
 def test_real_runs_on_a_gpu(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """See in ten real runs, two a point, that the first compiled its kernels and the others did not."""
     folder = copied(tmp_path, [WARP[index : index + 2] for index in range(0, 10, 2)])

@@ -235,6 +235,7 @@ def test_the_print_is_whole(browser: Browser, page: Path, tmp_path: Path) -> Non
         assert name in printed
 
 
+@pytest.mark.slow
 def test_nothing_moves(browser: Browser, page: Path) -> None:
     """Animate nothing, for those who asked for less motion and for all others."""
     browser.open(page, still=True)

@@ -397,6 +397,7 @@ def recorded_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_command(recorded_folder: Path) -> None:
     """Record and compare an engine; compare again what was recorded; say it in JSON, too."""
     made = sorted((recorded_folder / "out").glob("*.mcap"))

@@ -312,6 +312,7 @@ def test_states_that_were_not_recorded_are_not_made_up(browser: Browser, tmp_pat
     assert f"{apart * 100:.3g} cm from env 0 at most" in text(browser, ".legend li:nth-child(2)")
 
 
+@pytest.mark.slow
 def test_several_groups_share_one_player(browser: Browser, recording: Recording, tmp_path: Path) -> None:
     """Choose among clips, as a report embeds them; each begins at its begin with its own controls."""
     still = Recording(write_recording(tmp_path, grid(3), simulator="other"))

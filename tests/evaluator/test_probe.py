@@ -322,6 +322,7 @@ def probed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_mujoco(probed: Path) -> None:
     """Find that MuJoCo C depends on nothing, and that it has more of a state than positions and velocities."""
     (probe,) = json.loads((probed.parent / "answers.json").read_text())["probes"]

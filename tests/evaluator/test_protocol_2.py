@@ -213,6 +213,7 @@ def test_an_honest_run_passes() -> None:
     assert broken(_steps_of("honest")) - MACHINE == set()
 
 
+@pytest.mark.slow
 def test_a_world_at_rest_is_rejected(tmp_path: Path) -> None:
     """Reject a run that is timed after everything has come to rest, whichever way it got there."""
     at_rest = _steps_of("at rest")

@@ -97,6 +97,7 @@ def shipped() -> Iterator[Figure]:
     yield found
 
 
+@pytest.mark.slow
 def test_shipped_recordings(shipped: Figure) -> None:
     """Show MuJoCo at exactly zero, all hollow, with the numbers and what speaks against Brax.
 

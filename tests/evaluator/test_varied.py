@@ -209,6 +209,7 @@ def test_arms_of_files(arms: Path) -> None:
     assert (but.varied["mass"].values == usual).all(axis=1).tolist() == [True, False, False, False]
 
 
+@pytest.mark.slow
 def test_parameters_that_stay_behind(arms: Path, tmp_path: Path) -> None:
     """Take no run for an arm whose initial states change slots while its parameters stay."""
     done = call(

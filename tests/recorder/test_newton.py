@@ -181,6 +181,7 @@ def test_what_is_dropped_shows(solver: str, too_small: dict[str, str], expected:
             assert "asked for" in {buffer.sized_by.split("env ")[-1] for buffer in description.buffers}
 
 
+@pytest.mark.slow
 def test_newtons_contacts_in_mujocos_solver() -> None:
     """Rest on contacts of Newton's own collision detection, and show what does not fit into either buffer."""
     simulator, description = build(LANDING, "mujoco", use_mujoco_contacts="off")
@@ -195,6 +196,7 @@ def test_newtons_contacts_in_mujocos_solver() -> None:
     assert (overflow & (1 << 16)).all()
 
 
+@pytest.mark.slow
 def test_substeps() -> None:
     """Make several solver steps a step, with an odd and an even number, and the same time passes."""
     for substeps in ("2", "3"):

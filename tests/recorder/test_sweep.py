@@ -356,6 +356,7 @@ def test_plain_runs_are_always_made(gsb_record: Command, tmp_path: Path) -> None
     assert _made(tmp_path) == [(1, 0), (1, 1), (4, 0), (4, 0), (4, 1), (8, 0), (8, 1)]
 
 
+@pytest.mark.slow
 def test_more_environments_than_memory_holds(gsb_record: Command, tmp_path: Path) -> None:
     """Find the limit that the host's memory sets to MuJoCo, end well, and not try the limit again."""
 
