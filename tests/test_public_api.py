@@ -74,6 +74,7 @@ def test_examples_run_beside_folders_of_the_user(page: str, tmp_path: Path) -> N
         assert done.stdout
 
 
+@pytest.mark.slow
 def test_results_are_those_of_the_commands() -> None:
     """Evaluate, compare and diff shipped recordings from Python."""
     shipped = ROOT / "recordings"

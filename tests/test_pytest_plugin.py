@@ -93,6 +93,7 @@ def test_it_costs_nothing_where_it_is_not_used(tmp_path: Path, site: str) -> Non
     assert re.search(r"^\['gpusimbench.pytest_plugin'\]", done.stdout, re.MULTILINE), done.stdout
 
 
+@pytest.mark.slow
 def test_failures_and_what_is_kept(tmp_path: Path, site: str) -> None:
     """Fail at the line of the suite, with the first difference, and keep both sides for gsb-diff."""
     files = {name.upper(): str(ROOT / "recordings" / f"mujoco-{name}-r0.mcap") for name in ("amd", "pyramidal")}

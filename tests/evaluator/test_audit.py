@@ -400,6 +400,7 @@ def test_what_was_not_compared_is_not_the_same() -> None:
     assert ladder([replace(far, max_ulp=1)], lambda: "none", max_ulps=4, originals=1).rungs[2].holds is None
 
 
+@pytest.mark.slow
 def test_a_part_of_a_recording_is_said_to_be_one(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> None:
     """Replay the timed phase alone and a forged copy with origins: not bit-identical; refuse one with other names."""
     folder = tmp_path_factory.mktemp("whole")

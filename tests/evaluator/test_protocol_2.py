@@ -252,6 +252,7 @@ class Liar(Idle):  # and says that it holds those that it was given
 """
 
 
+@pytest.mark.slow
 def test_one_action_and_999_idle_steps_are_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reject a robot that is given one action, whatever the engine says of it, and hold the same robot that goes on."""
     names = "\n".join(f"{name} = idle_worlds:{name.title()}" for name in ("idle", "silent", "liar"))

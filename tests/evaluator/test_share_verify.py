@@ -72,6 +72,7 @@ def test_what_downloaders_leave_is_no_part_of_it(copy: Path, capsys: pytest.Capt
 
 @settings(max_examples=25)
 @given(data=st.data())
+@pytest.mark.slow
 def test_any_byte_of_any_file_counts(made: Path, data: st.DataObject) -> None:
     """Flip any bit of any byte of any file of a set: verify does not end with 0."""
     files = sorted(p.relative_to(made) for p in made.rglob("*") if p.is_file())

@@ -116,6 +116,7 @@ def test_runs_begin_alike(recorded: tuple[Path, Path]) -> None:
         assert states[0].tobytes() == states[1].tobytes()
 
 
+@pytest.mark.slow
 def test_engines_begin_alike(recorded: tuple[Path, Path], gsb_record: Command, tmp_path: Path) -> None:
     """Begin on another engine in the same state, to its precision."""
     done = gsb_record("--sim", "warp", "--option", "device=cpu", "--runs", "1", *_SHORT, "--out", tmp_path, code=0)

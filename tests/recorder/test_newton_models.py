@@ -121,6 +121,7 @@ def walker() -> Iterator[tuple[Any, Any, Any, Any]]:
     newton.close()
 
 
+@pytest.mark.slow
 def test_the_same_motion(walker: tuple[Any, Any, Any, Any]) -> None:
     """Move as on MuJoCo C under the same controls, in the same layout: position, velocity and torque actuators, one of
     them on a tendon, a floating base, a ball joint, a free body and a mesh."""

@@ -106,6 +106,7 @@ def test_words_that_the_output_cannot_show(tmp_path: Path) -> None:
     assert "standard output is in ascii and cannot show '\\xfc'" in done.stderr
 
 
+@pytest.mark.slow
 def test_two_recorders_in_one_folder(tmp_path: Path) -> None:
     """Give each of two commands that start at once files of its own, all of them whole."""
     processes = [

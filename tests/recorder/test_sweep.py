@@ -297,6 +297,7 @@ def _made(folder: Path) -> list[tuple[int, int]]:
     return sorted((run.configuration.n_env, run.configuration.run_index) for run in found)
 
 
+@pytest.mark.slow
 def test_a_sweep_and_its_continuation(gsb_record: Command, tmp_path: Path) -> None:
     """Make every run once; make again only what is gone, and say what else lies there."""
     every = [(n_env, index) for n_env in (1, 4, 8) for index in (0, 1)]

@@ -103,6 +103,7 @@ def said(episode: Episode) -> dict[str, Any]:
 @given(
     n_env=st.integers(1, 4), longest=st.integers(1, 6), seed=st.integers(0, 99), steps=st.sampled_from([1, 7, 49, 53])
 )
+@pytest.mark.slow
 def test_every_mode_gives_the_same_episodes(n_env: int, longest: int, seed: int, steps: int) -> None:
     """Record the same episodes whenever the environment is reset, and those that the tasks themselves went through."""
     with TemporaryDirectory() as folder:
