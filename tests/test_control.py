@@ -86,6 +86,7 @@ def evaluated(folder: Path, seconds: float) -> Json:
         pytest.param("run-order", 4, 1, 2, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_rounding_that_contacts_amplify(tmp_path: Path, regime: str, type_: int, envs: int, runs: int) -> None:
     """Return the type and the counts that each regime is made for, where contacts make centimetres of rounding."""
     arguments = ("--n-env", 6, "--runs", 2, "--steps", 150, "--warmup", 2, "--timed-steps", 40)

@@ -412,6 +412,7 @@ def test_the_command(recorded_folder: Path) -> None:
         assert done.returncode == 0, (command, done.stdout, done.stderr)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compared(recorded_folder: Path, tmp_path: Path) -> None:
     """Say what is missing: a reference, an engine, a name of one; refuse phases that a scene does not have."""
     made = sorted((recorded_folder / "out").glob("*.mcap"))

@@ -132,6 +132,7 @@ def test_offsets(sets: np.ndarray, offset: float) -> None:
 
 
 @pytest.mark.parametrize("shift", [pytest.param(0.0, marks=pytest.mark.slow), 4.0])
+@pytest.mark.slow
 def test_levels_hold_the_exact_value(shift: float) -> None:
     """Hold scipy's value with several levels, like and shifted."""
     n = COARSEST * RATIO + 17
