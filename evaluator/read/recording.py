@@ -233,11 +233,19 @@ class Recording:
             raise DamagedRecording(f"{self.path}: {error}") from None
 
     @cached_property
-    def look(self) -> Look:
-        """What is drawn of its bodies and links, by the geometry that is attached, or by its scene."""
+    def geometry(self) -> dict[str, Any] | None:
+        """geometry.json as it is, of a model file; None where there is none."""
         text = self._container.attachment(GEOMETRY)
         try:
-            return look_of(self.scene, checks.load(GEOMETRY, text, self._json) if text is not None else None)
+            return checks.load(GEOMETRY, text, self._json) if text is not None else None
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{self.path}: {error}") from None
+
+    @cached_property
+    def look(self) -> Look:
+        """What is drawn of its bodies and links, by the geometry that is attached, or by its scene."""
+        try:
+            return look_of(self.scene, self.geometry)
         except DamagedRecording as error:
             raise DamagedRecording(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
 

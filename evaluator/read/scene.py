@@ -10,7 +10,6 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.trial_units import Extent, extent_of
-from gpusimbench.schemas.view.geometry import GEOMETRY
 
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
 _FAR_M = 1e6
@@ -69,11 +68,9 @@ def extent_of_trials(recording: Recording, group: str) -> Extent | None:
 
 def _floors(recording: Recording) -> list[tuple[float, float]]:
     # of a model file: heights, and how far what stands on them reaches from its origin [m]
-    text = recording.attachment(GEOMETRY)
-    floors = checks.objects(checks.load(GEOMETRY, text), "floors") if text is not None else []
     return [
         (checks.number(floor, "height", -_FAR_M, _FAR_M), checks.number(floor, "reach", 0.0, _FAR_M))
-        for floor in floors
+        for floor in checks.objects(recording.geometry or {}, "floors")
     ]
 
 

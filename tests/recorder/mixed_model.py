@@ -46,6 +46,18 @@ MIXED = f"""<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbo
     <position name="p" joint="turn" kp="20" kv="1"/><velocity name="v" joint="rightroll" kv=".3"/></actuator>
 </mujoco>""".replace("left_thigh", "leftthigh").replace("left_shin", "leftshin")
 
+_BALL = '<body name="{0}" pos="{1} 1"><freejoint/><geom size=".1" contype="{2}" conaffinity="{2}"/>{3}</body>'
+
+TOUCHING = (
+    '<geom type="plane" size="5 5 .1" contype="3" conaffinity="3"/>'
+    '<geom type="box" size=".5 .5 .1" pos="0 0 .5"/>'
+    + _BALL.format("through", "0 0", 2, "")
+    + _BALL.format("stays", ".3 .3", 1, "")
+    + _BALL.format("held", "-.3 .3", 2, '<geom size=".1" pos="0 0 .25"/>')
+)
+"""Balls over a table and a plane: one falls through the table by its masks, one stays on it, and one of two geoms is
+held by one of them."""
+
 
 def scene_of(text: str, folder: Path, **more: str) -> ModelScene:
     """The scene of a model file with this text."""

@@ -27,7 +27,7 @@ from gpusimbench.recorder.simulators.isaaclab.physx import measured
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.schemas.errors import UsageError
 from tests.recorder import engines
-from tests.recorder.mixed_model import MIXED, drawn, scene_of, stepped
+from tests.recorder.mixed_model import MIXED, TOUCHING, drawn, scene_of, stepped
 
 # the engine's own, of its next release; mujoco's of numpy
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
@@ -177,15 +177,7 @@ def test_controls_that_end(tmp_path: Path) -> None:
 def test_what_may_touch(tmp_path: Path) -> None:
     """Rest on the plane that all environments share and on a table of their own, and keep apart what MuJoCo keeps
     apart, geom by geom; bodies without joints are no articulations there."""
-    ball = '<body name="{0}" pos="{1} 1"><freejoint/><geom size=".1" contype="{2}" conaffinity="{2}"/>{3}</body>'
-    text = _world(
-        '<geom type="plane" size="5 5 .1" contype="3" conaffinity="3"/>'
-        '<geom type="box" size=".5 .5 .1" pos="0 0 .5"/>'
-        + ball.format("through", "0 0", 2, "")
-        + ball.format("stays", ".3 .3", 1, "")
-        + ball.format("held", "-.3 .3", 2, '<geom size=".1" pos="0 0 .25"/>')
-    )
-    found, wanted = _both(scene_of(text, tmp_path), 300, n_env=3)
+    found, wanted = _both(scene_of(_world(TOUCHING), tmp_path), 300, n_env=3)
     heights = found["bodies/position"][-1, :, :, 2]
     np.testing.assert_allclose(heights, [[0.1, 0.7, 0.45]] * 3, atol=2e-3)
     np.testing.assert_allclose(heights[:2], wanted["bodies/position"][-1, :, :, 2], atol=2e-3)

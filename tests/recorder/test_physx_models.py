@@ -25,7 +25,7 @@ from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.schemas.model_files import pack
 from tests.recorder import engines
-from tests.recorder.mixed_model import MIXED, drawn, scene_of, stepped
+from tests.recorder.mixed_model import MIXED, TOUCHING, drawn, scene_of, stepped
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
 
@@ -181,15 +181,7 @@ def test_turns(tmp_path: Path) -> None:
 def test_what_may_touch(tmp_path: Path) -> None:
     """Keep apart what MuJoCo keeps apart, geom by geom, in every environment: masks, and geoms of one body of which
     one falls through a table that holds the other."""
-    ball = '<body name="{0}" pos="{1} 1"><freejoint/><geom size=".1" contype="{2}" conaffinity="{2}"/>{3}</body>'
-    text = _world(
-        '<geom type="plane" size="5 5 .1" contype="3" conaffinity="3"/>'
-        '<geom type="box" size=".5 .5 .1" pos="0 0 .5"/>'
-        + ball.format("through", "0 0", 2, "")
-        + ball.format("stays", ".3 .3", 1, "")
-        + ball.format("held", "-.3 .3", 2, '<geom size=".1" pos="0 0 .25"/>')
-    )
-    physx, wanted = _both(scene_of(text, tmp_path), 300, n_env=3)
+    physx, wanted = _both(scene_of(_world(TOUCHING), tmp_path), 300, n_env=3)
     heights = physx["bodies/position"][-1, :, :, 2]
     np.testing.assert_allclose(heights, [[0.1, 0.7, 0.45]] * 3, atol=2e-3)
     np.testing.assert_allclose(heights[:2], wanted["bodies/position"][-1, :, :, 2], atol=2e-3)
