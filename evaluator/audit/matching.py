@@ -21,10 +21,9 @@ _PACKAGE = "software.packages."
 def match_of(found: Difference, original: Recording, replay: Recording) -> Match:
     """What a comparison of an original (its side a) with a replay came to."""
     steps = found.compared.state_steps
-    other_arrays = found.program is not None and found.program.first is not None
     return Match(
         bit_identical=found.bit_identical,
-        same_up_to_env_order=False if other_arrays else found.same_up_to_env_order,
+        same_up_to_env_order=False if found.other_program else found.same_up_to_env_order,
         max_ulp=found.max_ulp,
         steps=steps.count if steps else 0,
         left_out=_named(list(_left_out(found, original, replay))),
@@ -71,7 +70,7 @@ def _no_ulps(found: Difference) -> Iterator[str]:
         yield f"{_named(others)} cannot be compared by bits"
     if c.unseen_steps:
         yield f"state hashes differ at {c.unseen_steps} steps of which no state was recorded"
-    if found.program is not None and found.program.first is not None:
+    if found.other_program:
         yield "arrays of the program were compared by hashes alone"
 
 

@@ -57,7 +57,7 @@ def _first(found: Difference, first: Divergence) -> Pairs:
     if found.compared.n_env > 1:
         pairs = f"{first.envs:,} of {found.compared.n_env:,} pairs of envs differ at that step"
         said += f"; {pairs}, first {pair_of(found, first)}"
-    label = "states differ" if found.program and found.program.first else "first at"
+    label = "states differ" if found.other_program else "first at"
     return [(label, said), *_where(found, first)]
 
 

@@ -353,9 +353,14 @@ class Difference:
     program: ProgramDifference | None = None
 
     @property
+    def other_program(self) -> bool:
+        """Whether a part of the program differs: its arrays, or what the simulator returned beside them."""
+        return self.program is not None and self.program.first is not None
+
+    @property
     def different(self) -> bool:
         """Whether anything that was compared differs."""
-        return self.first is not None or (self.program is not None and self.program.first is not None)
+        return self.first is not None or self.other_program
 
     @property
     def verdict(self) -> Verdict:

@@ -83,7 +83,11 @@ def compare_runs(command: Sequence[str], runs: Sequence[ProgramRun]) -> Comparis
         for number in range(1, len(runs))
         if name in found[0] and name in found[number]
     ]
-    compared = [_compared(name, number, a, b) for name, number, a, b in each(pairs, "comparing runs")]
+    compared: list[Compared] = []
+    for name, number, a, b in each(pairs, "comparing runs"):
+        if not compared or compared[-1].name != name:
+            first = _verified(a)
+        compared.append(_compared(name, number, first, _verified(b)))
     left_out += [f"{one.name} of run {one.run}: {one.why_not}" for one in compared if one.difference is None]
     return Comparison(tuple(command), tuple(runs), tuple(compared), tuple(left_out))
 
@@ -92,11 +96,14 @@ def _by_name(run: ProgramRun) -> dict[str, Path]:
     return {path.relative_to(run.folder).as_posix(): path for path in run.recordings}
 
 
-def _compared(name: str, number: int, a: Path, b: Path) -> Compared:
-    recordings = [Recording(path) for path in (a, b)]
-    for recording in recordings:
-        verify(recording)
+def _verified(path: Path) -> Recording:
+    recording = Recording(path)
+    verify(recording)
+    return recording
+
+
+def _compared(name: str, number: int, a: Recording, b: Recording) -> Compared:
     try:
-        return Compared(name, number, compare(*recordings))
+        return Compared(name, number, compare(a, b))
     except NothingComparable as error:
         return Compared(name, number, None, str(error))
