@@ -14,10 +14,11 @@ from gpusimbench import UsageError, open_recording, wrap
 from gpusimbench.evaluator.read.episodes import Episode, episodes
 from gpusimbench.evaluator.replays.verdict import Verdict, judge
 from gpusimbench.evaluator.statistics.rates import wilson
-from gpusimbench.recorder.vector.open_loop import Part, replay
+from gpusimbench.recorder.vector.open_loop import replay
+from gpusimbench.recorder.vector.part import Part
 from gpusimbench.replay.origin import given, origin_of
 from gpusimbench.replay.parts import infos_of, parts_of, seed_of
-from tests.conftest import call, made_once
+from tests.conftest import call, made_once, run_python
 from tests.recorder.test_wrap import MODES, acted, play, walks
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -310,3 +311,14 @@ def test_infos_of_success(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 def test_parts_have_a_length() -> None:
     """Count the actions of an episode."""
     assert len(Part({"action": np.zeros((4, 2))})) == 4
+
+
+def test_without_gymnasium_a_sentence_says_what_is_needed(tmp_path: Path) -> None:
+    """Name what to install where Gymnasium is not there."""
+    file = Path(__file__).parents[1] / "recordings" / "mujoco-amd-r0.mcap"
+    script = (
+        "import sys; sys.modules['gymnasium'] = None; from gpusimbench.replay.cli import main; "
+        f"sys.exit(main([{str(file)!r}, '--out', {str(tmp_path / 'out.mcap')!r}]))"
+    )
+    done = run_python(script, code=2)
+    assert done.stderr.strip().endswith("replaying needs Gymnasium: pip install 'gymnasium[mujoco]'")

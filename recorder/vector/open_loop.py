@@ -12,29 +12,11 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.fields import field_of
 from gpusimbench.recorder.vector.modes import Mode, mode_of
-from gpusimbench.recorder.vector.starts import State, begin_at
+from gpusimbench.recorder.vector.part import ACTION, Part, State
+from gpusimbench.recorder.vector.starts import begin_at
 from gpusimbench.recorder.vector.wrap import wrap
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import leaves, mapped
-
-ACTION = "action"
-
-
-@dataclass(frozen=True)
-class Part:
-    """What an environment is fed in one episode.
-
-    actions  by the name of the array in a recording, [step, ...], in the dtype that the environment was given
-    seed     of the reset that begins it; None: the environment goes on with its random numbers
-    state    MuJoCo's qpos and qvel with which it begins, by name; None: the reset decides
-    """
-
-    actions: Mapping[str, NDArray[Any]]
-    seed: int | None = None
-    state: State | None = None
-
-    def __len__(self) -> int:
-        return len(next(iter(self.actions.values()), ()))
 
 
 @dataclass

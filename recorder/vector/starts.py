@@ -7,12 +7,9 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
+from gpusimbench.recorder.vector.part import State
 from gpusimbench.schemas.errors import UsageError
-
-State = Mapping[str, NDArray[np.floating]]
-"""MuJoCo's "qpos" and "qvel", in the units of the model."""
 
 
 class Started(gymnasium.Wrapper):  # type: ignore[misc]

@@ -12,8 +12,7 @@ from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes
 from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.infos import GIVEN
-from gpusimbench.recorder.vector.open_loop import ACTION, Part
-from gpusimbench.recorder.vector.starts import State
+from gpusimbench.recorder.vector.part import ACTION, Part, State
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
 from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.vector import PHYSICS, SEEDS
