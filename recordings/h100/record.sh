@@ -1,11 +1,13 @@
 #!/usr/bin/env bash
 # Records the set of this folder anew, on a machine with one GPU and nothing else at work on it.
 #
-#   recordings/h100/record.sh OUT        a second call continues where the first stopped
+#   recordings/h100/record.sh OUT            a second call continues where the first stopped
+#   recordings/h100/record.sh OUT NAME...    these simulators alone
 #
 # RECORD is the command (gsb-record). UNTIL, in seconds since 1970, is when no further group of runs begins.
 set -uo pipefail
 OUT=$1
+shift
 RECORD=${RECORD:-gsb-record}
 UNTIL=${UNTIL:-9999999999}
 simulators=( # a name, and its options
@@ -16,6 +18,13 @@ simulators=( # a name, and its options
   "newton-mujoco --sim newton --solver mujoco"
   "mjx-jax --sim mjx --impl jax"
 )
+if [ $# -gt 0 ]; then
+  chosen=()
+  for name in "$@"; do
+    for one in "${simulators[@]}"; do [ "${one%% *}" = "$name" ] && chosen+=("$one"); done
+  done
+  simulators=("${chosen[@]}")
+fi
 # ten runs of 16 environments: steps 100 to 200 are timed, every captured step is fingerprinted, three states are kept
 protocol="--n-env 16 --runs 10 --timed-steps 100 --stride 250 --no-view --compression zstd"
 # two runs with every state of the first half second
