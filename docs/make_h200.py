@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.finding import Answer, Finding
 from gpusimbench.evaluator.probe.questions import QUESTIONS, probed
@@ -154,8 +155,8 @@ def switches(evaluation: Evaluation) -> str:
     prices = _prices(results)
     lines = [
         "| simulator | determinism | distinct envs | distinct runs | type | throughput, times default | timed steps "
-        "| seconds timed |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+        f"| seconds timed | open in {PROTOCOL} |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for family in price_list(results):
         for result in of_family(family):
@@ -169,6 +170,7 @@ def switches(evaluation: Evaluation) -> str:
                 prices[result.label],
                 timed.steps(result.timed),
                 timed.seconds(result.timed),
+                ", ".join(result.timed.unmet.findings) or "nothing",
             ]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
