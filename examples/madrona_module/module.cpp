@@ -213,7 +213,8 @@ public:
         found["restitution"] = restitution;
         found["restitution_threshold"] = 2 * size * settings_.deltaT / settings_.substeps;  // [m/s]
         found["friction_combination"] = "the mean of the two";
-        found["kinetic_friction"] = "impulse limited to mu lambda_n / (h w^2), w the generalised inverse mass at the point";
+        found["kinetic_friction"] =
+            "impulse limited to mu lambda_n / (h w^2): lambda_n of the positions alone, w the generalised inverse mass";
         found["contact_points"] = "normal: one for a pair, the mean of up to four weighted by depth; friction: each";
         found["contacts_counted"] = false;
 #ifdef GSB_MODIFIED
