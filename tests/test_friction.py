@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -13,6 +11,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import run_python
+from tests.scripts import script as script_beside
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -20,11 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
     """docs/make_friction.py."""
-    sys.path.insert(0, str(ROOT / "docs"))
-    try:
-        return importlib.import_module("make_friction")
-    finally:
-        sys.path.remove(str(ROOT / "docs"))
+    return script_beside("make_friction")
 
 
 def test_the_page_is_as_the_script_draws_it(script: ModuleType) -> None:
