@@ -24,6 +24,9 @@ so that no rule of combining them matters."""
 POSITIVE = frozenset({"damping", "angular damping"})
 """Parameters that are zero in the scene and never negative."""
 
+EVERY_MASS = "every mass"
+"""A parameter of no law: all masses at once, whose ratios stay."""
+
 BUILT = frozenset({"middle moment", "angular damping", "centre of mass"})
 """Parameters that no scene says, in the model of MuJoCo C alone."""
 
@@ -35,7 +38,7 @@ class Change:
     parameter  as of LawValues.slopes
     subject    name of the body, of the lane, or of the pendulum whose joints begin so; not looked at for WHOLE, nor for
                "centre of mass", which is that of every body that moves, nor for the damping of a robot that is one
-               mechanism, nor for parameters that name a link
+               mechanism, nor for EVERY_MASS and parameters that name a link
     size       what is added: a share of the parameter, N m s/rad of a joint, 1/s of a body's angular damping, or metres
                by which the centre of mass is moved toward +z of the body
     """
@@ -60,6 +63,7 @@ def changed_scene(scene: Scene, changes: Sequence[Change]) -> Scene:
 
 def _body(body: Body, changes: Sequence[Change]) -> Body:
     friction = bounce = 1.0
+    heavier = 1.0 + sum(one.size for one in changes if one.parameter == EVERY_MASS)
     for one in changes:
         if one.parameter == "restitution":
             bounce += one.size
@@ -71,11 +75,11 @@ def _body(body: Body, changes: Sequence[Change]) -> Body:
         kinetic_friction=body.material.kinetic_friction * friction,
         restitution=body.material.restitution * bounce,
     )
-    return replace(body, material=material)
+    return replace(body, material=material, mass=None if body.mass is None else body.mass * heavier)
 
 
 def _link(link: Link, changes: Sequence[Change], *, alone: bool) -> Link:
-    factor = 1.0 + sum(one.size for one in changes if one.parameter == f"{link.name}'s mass")
+    factor = 1.0 + sum(one.size for one in changes if one.parameter in (f"{link.name}'s mass", EVERY_MASS))
     if factor != 1.0:
         was = link.inertial
         xx, yy, zz, xy, xz, yz = (factor * moment for moment in was.inertia)

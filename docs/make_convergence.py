@@ -17,7 +17,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.report.sections.convergence import said
+from gpusimbench.evaluator.report.sections.convergence import NOT_ASYMPTOTIC, said, said_locally, why_none
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
@@ -158,9 +158,8 @@ def row(one: Convergence, label: str, engine: Engine) -> str:
         return f"{where} | | | {told} | | {'; '.join([one.found.reason, *one.left_out])} |"
     order = one.found
     errors = ", ".join(f"{e:.2g} at {1000 * dt:g} ms" for dt, e in zip(order.steps, order.errors, strict=True))
-    local = ", ".join(f"{p:.2f}" for p in order.local)
-    note = "" if order.asymptotic else "not in the asymptotic range"
-    return f"{where} | {errors} | {said(one)} | {told} | {local} | {note} |"
+    note = "" if order.asymptotic else why_none(one) or NOT_ASYMPTOTIC
+    return f"{where} | {errors} | {said(one)} | {told} | {said_locally(order)} | {note} |"
 
 
 def main() -> None:

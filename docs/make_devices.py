@@ -13,6 +13,8 @@ from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
 
+from run_names import name_of_run
+
 from gpusimbench import open_recording
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference, Verdict
@@ -22,7 +24,6 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "determinism.md"
 BEGIN, END = "<!-- devices: docs/make_devices.py -->", "<!-- end of devices -->"
 _SCENE, _N_ENV, _DT = "inclined-collision", 16, 0.01
-_PLAIN = ("impl", "backend", "solver")  # options that say what is run, and need not say their name
 Kind = tuple[str, str, str]
 """Simulator with the options that were given, its version, and its level of determinism."""
 
@@ -39,10 +40,7 @@ def kind(recording: Recording) -> Kind:
     """What has to be equal for two runs to be the same simulation."""
     simulation = recording.simulation
     assert simulation is not None
-    given = recording.configuration.options
-    plain = [str(simulation.options[n]) for n in _PLAIN if n in simulation.options and (n in given or n == "impl")]
-    named = [f"{name}={value}" for name, value in sorted(given.items()) if name not in (*_PLAIN, "device")]
-    name = " ".join([recording.configuration.simulator, *plain, *named])
+    name = name_of_run(recording.configuration.simulator, recording.configuration.options, simulation.options)
     return name, simulation.version, recording.configuration.determinism
 
 

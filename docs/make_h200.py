@@ -11,6 +11,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from run_names import name_of_engine, name_of_run
+
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.finding import Answer, Finding
@@ -38,7 +40,6 @@ PROBED = (ROOT / "recordings" / "probe", ROOT / "recordings" / "probe-h100")
 BEGIN, END = "<!-- {}: make figures -->", "<!-- end of {} -->"
 _SCENE = "inclined-collision"
 _NONE = "-"
-_PLAIN = ("impl", "backend", "solver")  # options that say what is run, and need not say their name
 
 
 def shipped() -> Evaluation:
@@ -46,17 +47,11 @@ def shipped() -> Evaluation:
     return evaluate_files(sorted(FOLDER.glob("*.mcap")))
 
 
-def _settings(result: GroupResult) -> str:
+def _who(result: GroupResult) -> str:
     recording = result.group.recordings[0]
     given = recording.configuration.options
-    options = recording.simulation.options if recording.simulation else given
-    plain = [str(options[name]) for name in _PLAIN if name in given or name == "impl" in options]
-    return " ".join([*plain, *(f"{name} {value}" for name, value in given.items() if name not in _PLAIN)])
-
-
-def _who(result: GroupResult) -> str:
-    key = result.group.key
-    return " ".join(part for part in (key.simulator, _settings(result)) if part)
+    in_force = recording.simulation.options if recording.simulation else given
+    return name_of_run(result.group.key.simulator, given, in_force)
 
 
 def _of(result: GroupResult, name: str) -> str:
@@ -242,9 +237,7 @@ def _model(key: GroupKey) -> str:
 
 
 def _probed_name(key: GroupKey) -> str:
-    given = json.loads(key.options)
-    options = " ".join(str(given[name]) for name in _PLAIN if name in given)
-    return f"{' '.join(filter(None, (key.simulator, options)))}, {key.determinism}"
+    return f"{name_of_engine(key.simulator, json.loads(key.options))}, {key.determinism}"
 
 
 def _answers(findings: Sequence[Finding]) -> list[str]:

@@ -39,10 +39,12 @@ COUNTS: dict[str, tuple[str, ...]] = {
     "double-pendulum": ("--scene", "double-pendulum", "--dt", "0.004"),
     "four-bar-rk4": ("--scene", "four-bar", *_RK4, *_STIFF, "--dt", "0.005", "--repetitions", "20"),
     "loaded-dice": ("--n-env", "16", "--shares", "0,0.3,0.38"),
+    "masses": ("--share", "0.2", "--repetitions", "20"),
 }
-"""Arguments of benchmarks.law_power, and of benchmarks.loaded_dice, by the name of the file of their table."""
+"""Arguments of benchmarks.law_power, and of those of _OTHERS, by the name of the file of their table."""
 
-_DICE = "loaded-dice"
+_OTHERS = {"loaded-dice": "loaded_dice", "masses": "law_masses"}
+"""Benchmarks whose tables claim no rate of 95 %, by the name of the file."""
 
 LIMIT = 0.01
 """A rate is bold where the claim would give one so far off with a smaller probability."""
@@ -55,7 +57,7 @@ def count(folder: Path, chosen: list[str]) -> None:
         out = folder / f"{name}.md"
         if out.exists() or (chosen and name not in chosen):
             continue
-        script = "loaded_dice" if name == _DICE else "law_power"
+        script = _OTHERS.get(name, "law_power")
         command = [sys.executable, "-m", f"benchmarks.{script}", "--repetitions", f"{REPETITIONS}"]
         command += [*arguments, "--seed", f"{FRESH}", "--out", str(out)]
         done = subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
@@ -127,7 +129,7 @@ def block(folder: Path) -> str:
         if not file.exists():
             continue
         text, found = file.read_text(encoding="utf-8").strip(), dict[int, list[Rate]]()
-        if name != _DICE:
+        if name not in _OTHERS:
             text, found = drawn(text)
         shown.append(f"`{shlex.join(COUNTS[name])}`\n\n{text}")
         for column, some in found.items():

@@ -192,6 +192,8 @@ class EngineFacts:
     buffers        capacities beyond which the engine drops contacts or constraints; measured, never left at a default
     counters       what is counted at each step
     overflow_bits  what the bits of the topics /overflow/<phase> mean
+    remarks        what the engine had to say as it was built, such as warnings; no setting: runs that differ in this
+                   alone are alike
     """
 
     version: str
@@ -206,6 +208,7 @@ class EngineFacts:
     buffers: tuple[Buffer, ...] = ()
     counters: tuple[Counter, ...] = ()
     overflow_bits: tuple[OverflowBit, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,11 +231,12 @@ class Simulation(EngineFacts):
         """From the attachment; DamagedRecording where it cannot be read, or is more than the file's budget allows."""
         record = checks.load(SIMULATION, text, budget)
         try:
+            switches, remarks = _apart(checks.mapping(record, "switches"))
             return cls(
                 version=checks.text(record, "version"),
                 device=checks.text(record, "device"),
                 options=checks.mapping(record, "options"),
-                switches=checks.mapping(record, "switches"),
+                switches=switches,
                 deviations=tuple(
                     Deviation(*(checks.text(d, key) for key in ("parameter", "wanted", "used", "reason")))
                     for d in checks.objects(record, "deviations")
@@ -251,9 +255,18 @@ class Simulation(EngineFacts):
                     OverflowBit(checks.whole(b, "bit", 0, 31), checks.text(b, "name"), checks.flag(b, "fatal"))
                     for b in checks.objects(record, "overflow_bits")
                 ),
+                remarks=(*remarks, *checks.texts(record, "remarks")),
             )
         except DamagedRecording as error:
             raise DamagedRecording(f"{SIMULATION}: {error}") from None
+
+
+def _apart(switches: dict[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Switches, and remarks: the first recorders had those among the switches, as `warnings`."""
+    said = switches.get("warnings")
+    if not isinstance(said, list) or not all(isinstance(sentence, str) for sentence in said):
+        return switches, ()
+    return {name: value for name, value in switches.items() if name != "warnings"}, tuple(said)
 
 
 def engine_name(simulator: str, simulation: Simulation | None) -> str:

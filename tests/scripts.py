@@ -14,7 +14,9 @@ DOCUMENTS = ROOT / "docs"
 
 @cache
 def script(name: str) -> ModuleType:
-    """docs/NAME.py, which is in no package."""
+    """docs/NAME.py, which is in no package; it finds what lies beside it, as when it is run."""
+    if str(DOCUMENTS) not in sys.path:
+        sys.path.append(str(DOCUMENTS))
     return _module(name, DOCUMENTS / f"{name}.py")
 
 

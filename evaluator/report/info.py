@@ -173,6 +173,8 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
     if s:
         yield "options", _pairs(s.options, given) or "none"
         yield "switches", _pairs(s.switches, {}) or "none"
+        if s.remarks:
+            yield "remarks", "; ".join(s.remarks)
         if s.deviations:
             yield "deviations", ", ".join(d.parameter for d in s.deviations) + " (why: --json)"
     elif given:

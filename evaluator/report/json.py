@@ -76,14 +76,14 @@ def _convergence(one: Convergence) -> dict[str, Any]:
         return {**record, "order": None, "why_not": found.reason}
     return {
         **record,
-        "order": found.order,
-        "why_not": "",
+        "order": None if isinstance(found.order, Missing) else found.order,
+        "why_not": found.order.reason if isinstance(found.order, Missing) else "",
         "ci95": None if isinstance(found.ci95, Missing) else list(found.ci95),
         "no_interval": found.ci95.reason if isinstance(found.ci95, Missing) else "",
         "asymptotic": found.asymptotic,
         "dt": list(found.steps),
         "error": list(found.errors),
-        "local_orders": list(found.local),
+        "local_orders": [None if isinstance(order, Missing) else order for order in found.local],
     }
 
 

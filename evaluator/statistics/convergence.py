@@ -38,25 +38,23 @@ class Order:
 
     steps        h, from large to small [s]
     errors       root mean square over environments, of each step
-    order        p, by least squares of log error
+    order        p, by least squares of log error; Missing where errors fit best at an end of the range that is searched
     ci95         by resampling environments; or why there is none
-    local        order of each two neighbouring steps
+    local        order of each two neighbouring steps; Missing as `order`
     """
 
     steps: tuple[float, ...]
     errors: tuple[float, ...]
-    order: float
+    order: float | Missing
     ci95: tuple[float, float] | Missing
-    local: tuple[float, ...]
+    local: tuple[float | Missing, ...]
 
     @property
     def asymptotic(self) -> bool:
-        """Whether all local orders are within AGREE of the fitted order, so that it is that of the method.
-
-        Errors that do not fall at all fit best at the end of the range in which orders are looked for, all alike.
-        """
-        inside = _ORDERS[0] + AGREE < self.order < _ORDERS[1] - AGREE
-        return inside and all(abs(one - self.order) <= AGREE for one in self.local)
+        """Whether all local orders are within AGREE of the fitted order, so that it is that of the method."""
+        if isinstance(self.order, Missing):
+            return False
+        return all(not isinstance(one, Missing) and abs(one - self.order) <= AGREE for one in self.local)
 
 
 def fit_order(steps: npt.ArrayLike, errors: npt.ArrayLike, *, finest: float = 0.0, seed: int = 0) -> Order | Missing:
@@ -85,13 +83,26 @@ def fit_order(steps: npt.ArrayLike, errors: npt.ArrayLike, *, finest: float = 0.
     if not whole.all():
         return Missing(f"there is no error at a step of {h[int(np.argmin(whole))]:g} s")
     pairs = [slice(i, i + 2) for i in range(len(h) - 1)]
+    order = _inside(_fitted(h, whole, finest))
     return Order(
         tuple(h.tolist()),
         tuple(whole.tolist()),
-        _fitted(h, whole, finest),
-        _interval(h, found, finest, seed),
-        tuple(_fitted(h[pair], whole[pair], finest) for pair in pairs),
+        order,
+        Missing("there is no order") if isinstance(order, Missing) else _interval(h, found, finest, seed),
+        tuple(_inside(_fitted(h[pair], whole[pair], finest)) for pair in pairs),
     )
+
+
+def _inside(order: float) -> float | Missing:
+    """The order, or why it is none: at an end of the range, where the error of the method is not what is seen."""
+    if order <= _ORDERS[0] + AGREE:
+        return Missing(
+            "the errors hardly fall with the step: rounding, or another error that does not depend on the step, hides "
+            "that of the method"
+        )
+    if order >= _ORDERS[1] - AGREE:
+        return Missing(f"the errors fall as fast as those of order {_ORDERS[1]:g}, the highest that is looked for")
+    return order
 
 
 def _interval(h: Array, errors: Array, finest: float, seed: int) -> tuple[float, float] | Missing:

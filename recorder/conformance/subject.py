@@ -27,7 +27,7 @@ from gpusimbench.recorder.simulators.base import Captured, Description, Simulato
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.registry import Entry, find_simulator
-from gpusimbench.recorder.simulators.snapshot import Claim, Extent, StateClaims
+from gpusimbench.recorder.simulators.snapshot import Claim, Extent, Snapshot, StateClaims
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 
@@ -65,10 +65,12 @@ class Stepped:
 class Meddled:
     """A build of the conformance scene, the state of which was changed from outside between steps.
 
-    states  arrays [env, item, width] or [step, env, item, width] by what had been done; only what the adapter offers
+    states    arrays [env, item, width] or [step, env, item, width] by what had been done; only what the adapter offers
+    snapshot  from which "once" was stepped; None where the adapter offers none
     """
 
     states: dict[str, States]
+    snapshot: Snapshot | None
 
 
 def differing(description: Description, first: States) -> States:
@@ -178,6 +180,12 @@ class Subject:
         return self._once("meddled", self._meddle)
 
     @property
+    def revived(self) -> tuple[States, States]:
+        """The conformance scene in another build, which was given the snapshot of `meddled` before compile: its state
+        after compile, and the steps that follow. The adapter offers snapshots."""
+        return self._once("revived", self._revive)
+
+    @property
     def claims(self) -> StateClaims:
         """What the adapter says of these operations."""
         return self.adapter.state_claims(self.options)
@@ -262,6 +270,7 @@ class Subject:
 
     def _meddle(self) -> Meddled:
         states: dict[str, States] = {}
+        snapshot: Snapshot | None = None
         claims, restored, chosen = self.claims, np.array(RESTORED), np.array(CHOSEN)
 
         def offered(claim: Claim) -> bool:
@@ -304,7 +313,17 @@ class Subject:
                 simulator.set_state(given, chosen)
                 states["some set"] = _copy(simulator.state())
                 states["after some set"] = steps(MEDDLED)
-        return Meddled(states)
+        return Meddled(states, snapshot)
+
+    def _revive(self) -> tuple[States, States]:
+        snapshot = self.meddled.snapshot
+        assert snapshot is not None  # see `revived`
+        with self.built(conformance_scene()) as (simulator, _):
+            simulator.restore(snapshot)
+            simulator.compile("capture")
+            shown = _copy(simulator.state())
+            simulator.prepare(None)
+            return shown, _copy(simulator.states(MEDDLED))
 
     def _record(self) -> RecordedRun:
         from gpusimbench.recorder.environments.interpreter import own

@@ -80,7 +80,19 @@ def test_errors_that_never_fall_have_no_order() -> None:
     """Say so too where rounding alone is left, and all local orders agree at the end of what is looked for."""
     errors = np.tile(np.array([1.3e-6, 1.2e-6, 0.9e-6, 1.0e-6])[:, None], (1, 8))
     found = fitted(fit_order(_STEPS, errors, finest=0.0025))
-    assert max(found.local) < 0.2 and not found.asymptotic
+    assert isinstance(found.order, Missing)
+    assert "hides that of the method" in found.order.reason
+    assert all(isinstance(one, Missing) for one in found.local)
+    assert found.ci95 == Missing("there is no order")
+    assert not found.asymptotic
+    one = Convergence("warp", "pendulum", 1.0, 0.0025, "joints", "rad", found)
+    assert page.said(one) == "-"
+    assert page.said_locally(found) == "-, -, -"
+    assert page.sentence(one).endswith(f"not known: {found.order.reason}")
+    make = script("make_convergence")
+    assert make.row(one, "warp", make.Engine("pendulum", "warp", order=4)).endswith(
+        f"| - | 4 | -, -, - | {found.order.reason} |"
+    )
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,9 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.groups import group
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given, row_names, short_device
-from gpusimbench.schemas.provenance import PROVENANCE
+from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from tests.conftest import Command, call
-from tests.synthetic import grid, write_recording
+from tests.synthetic import changing, grid, write_recording
 
 
 def named(folder: Path, *kinds: dict[str, Any]) -> list[str]:
@@ -127,6 +127,23 @@ def test_an_option_without_a_value_parts_no_groups(tmp_path: Path) -> None:
         for run, more in enumerate(({}, {"mujoco_solver": None}))
     ]
     assert len(group([open_recording(file) for file in files])) == 1
+
+
+def test_what_an_engine_remarked_parts_no_groups(tmp_path: Path) -> None:
+    """Take runs for alike whose engines warned in other words, also where these stand among the switches."""
+    said = ("njmax is raised to 40", "njmax is raised to 64")
+    kinds: list[dict[str, Any]] = [
+        {},
+        *({"change": changing(SIMULATION, remarks=[sentence])} for sentence in said),
+        *({"switches": {"warnings": [sentence]}} for sentence in said),
+    ]
+    files = [write_recording(tmp_path, grid(1), run=run, **kind) for run, kind in enumerate(kinds)]
+    recordings = [open_recording(file) for file in files]
+    assert len(group(recordings)) == 1
+    told = [recording.simulation.remarks for recording in recordings if recording.simulation]
+    assert told == [(), *((sentence,) for sentence in said), *((sentence,) for sentence in said)]
+    apart = [write_recording(tmp_path, grid(1), switches={"warnings": flag}) for flag in (True, False)]
+    assert len(group([open_recording(file) for file in apart])) == 2  # a switch of that name that is no remark
 
 
 @pytest.mark.parametrize(("cpu", "notes"), [("test", 2), ("another", 0)])

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.law_changes import Change, change_model, changed_scene
+from benchmarks.law_changes import EVERY_MASS, Change, change_model, changed_scene
+from benchmarks.law_masses import trials as unmoved
 from benchmarks.law_power import Setting, recorded_together, table, trials
 from benchmarks.loaded_dice import power, throw
 from gpusimbench.evaluator.statistics.counts import uniformity
@@ -184,6 +185,23 @@ def test_a_damped_pendulum_is_noticed_and_an_undamped_one_is_not(tmp_path: Path)
     assert counts.broken_unchanged == [False, False]
     assert max(counts.least) < min(counts.breaks)
     assert not list(tmp_path.iterdir())
+
+
+def test_other_masses_move_nothing_but_what_depends_on_them(tmp_path: Path) -> None:
+    """Give every body and link other masses and moments, see no law move that is insensitive to them, and leave out
+    those that are not."""
+    scene = make_scene("pendulum")
+    (link,) = (one for one in scene.robot.links if one.joint is not None)
+    (heavier,) = (one for one in changed_scene(scene, [Change(EVERY_MASS, "", 0.2)]).robot.links if one.joint)
+    assert heavier.inertial.mass == pytest.approx(1.2 * link.inertial.mass)
+    bodies = changed_scene(make_scene("ball-drop"), [Change(EVERY_MASS, "", 0.2)]).bodies
+    for body, before in zip(bodies, make_scene("ball-drop").bodies, strict=True):
+        assert body.mass == (None if before.mass is None else pytest.approx(1.2 * before.mass))
+    counts = unmoved(Setting("mujoco", "pendulum", 0.01, tmp_path), 1, 0.2)
+    assert set(counts) == {"period", "energy_change"}
+    for one in counts.values():
+        assert max(one.moved) < 1e-6
+        assert one.broken == one.broken_unchanged == [False]
 
 
 @pytest.mark.slow

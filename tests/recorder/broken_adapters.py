@@ -528,6 +528,13 @@ class LosesItsStart(MujocoC):
         self.reset()
 
 
+class WarmsUpAgain(MujocoC):
+    """Loses the warm start, and nothing that is shown, when it compiles."""
+
+    def compile(self, phase):
+        self._worlds.write("qacc_warmstart", np.zeros_like(self._worlds.read("qacc_warmstart")))
+
+
 class SetsNothingElse(MujocoC):
     """Keeps the warm start where it is given another state."""
 

@@ -29,6 +29,7 @@ from gpusimbench.recorder.simulators.sapien.complaints import Complaints
 from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 from gpusimbench.recorder.simulators.sapien.simulator import Sapien
+from gpusimbench.recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
 from gpusimbench.schemas.errors import UsageError
 
 IMPACT = 80  # steps after which the ball has met the cubes of inclined-collision
@@ -171,6 +172,25 @@ def test_what_turns_is_damped_by_what_is_told() -> None:
             expected = np.array(body.angular_velocity) * (1 - damping * 0.01) ** 50
             assert np.allclose(speeds[layout.items.index(name)], expected, atol=1e-4)
         assert told == (damping > 0)
+
+
+def test_capacities_are_those_that_maniskill_documents() -> None:
+    """Each field of ManiSkill's GPUMemoryConfig gets a capacity, never below its own, and SAPIEN takes them all."""
+    from mani_skill.utils.structs.types import GPUMemoryConfig
+    from sapien import physx
+
+    shipped = GPUMemoryConfig()
+    chosen = choose_sizes(
+        make_scene("inclined-collision"), n_env=4096, dt=0.01, options=ManiSkillOptions(), defaults=shipped.dict()
+    )
+    capacities = {buffer.name: buffer.asked for buffer in chosen}
+    assert set(capacities) == {field.name for field in fields(GPUMemoryConfig)}
+    assert all(capacities[name] >= own for name, own in shipped.dict().items())
+    assert capacities["max_rigid_contact_count"] > shipped.max_rigid_contact_count
+    try:
+        physx.set_gpu_memory_config(**GPUMemoryConfig(**capacities).dict())
+    finally:
+        physx.set_gpu_memory_config(**DEFAULTS)
 
 
 class FakeSystem:

@@ -7,7 +7,9 @@ from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Ta
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.convergence import Convergence
-from gpusimbench.evaluator.statistics.convergence import AGREE
+from gpusimbench.evaluator.statistics.convergence import AGREE, Order
+
+NOT_ASYMPTOTIC = "not in the asymptotic range"
 
 _HOW = (
     "Errors are distances between the states at the same time and those of the finest step, root mean square over "
@@ -42,23 +44,41 @@ def _cells(one: Convergence) -> tuple[Cell, ...]:
         return (*head, Cell(NONE), Cell(NONE, notes=(one.found.reason,), tone=Tone.QUIET), Cell(NONE))
     order = one.found
     error = f"{order.errors[0]:.3g} at {order.steps[0]:g} s"
-    notes = () if order.asymptotic else ("not in the asymptotic range",)
-    tone = Tone.PLAIN if order.asymptotic else Tone.WARNING
-    local = ", ".join(f"{p:.2f}" for p in order.local)
-    return (*head, Cell(error, order.errors[0]), Cell(said(one), order.order, notes=notes, tone=tone), Cell(local))
+    if isinstance(order.order, Missing):
+        fitted = Cell(NONE, notes=(order.order.reason,), tone=Tone.QUIET)
+    elif order.asymptotic:
+        fitted = Cell(said(one), order.order)
+    else:
+        fitted = Cell(said(one), order.order, notes=(NOT_ASYMPTOTIC,), tone=Tone.WARNING)
+    return (*head, Cell(error, order.errors[0]), fitted, Cell(said_locally(order)))
 
 
 def sentence(one: Convergence) -> str:
     """The order in a sentence."""
     name = f"{one.label}, {one.scene}: order of convergence in dt"
-    if isinstance(one.found, Missing):
-        return f"{name} not known: {one.found.reason}"
-    return f"{name} {said(one)}{'' if one.found.asymptotic else ', not in the asymptotic range'}"
+    if reason := why_none(one):
+        return f"{name} not known: {reason}"
+    return f"{name} {said(one)}{'' if _asymptotic(one) else f', {NOT_ASYMPTOTIC}'}"
+
+
+def why_none(one: Convergence) -> str:
+    """Why there is no order; empty where there is."""
+    order = one.found if isinstance(one.found, Missing) else one.found.order
+    return order.reason if isinstance(order, Missing) else ""
+
+
+def _asymptotic(one: Convergence) -> bool:
+    return not isinstance(one.found, Missing) and one.found.asymptotic
+
+
+def said_locally(order: Order) -> str:
+    """The local orders, with a dash where there is none."""
+    return ", ".join(NONE if isinstance(p, Missing) else f"{p:.2f}" for p in order.local)
 
 
 def said(one: Convergence) -> str:
     """The order with its interval, or a dash."""
-    if isinstance(one.found, Missing):
+    if isinstance(one.found, Missing) or isinstance(one.found.order, Missing):
         return NONE
     if isinstance(one.found.ci95, Missing):
         return f"{one.found.order:.2f}"

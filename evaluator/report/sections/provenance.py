@@ -75,6 +75,7 @@ def _blocks(number: int, result: GroupResult, machines: _Machines) -> Iterator[B
         told = {
             "version": simulation.version, "device": simulation.device, "between the clocks": simulation.timing_covers,
             "start of the capture phase": simulation.fresh_start, "scene": simulation.scene,
+            **({"remarks": "; ".join(simulation.remarks)} if simulation.remarks else {}),
         }  # fmt: skip
         yield _records(number, "What the engine said", told)
         yield _records(number, "Options in force", simulation.options)

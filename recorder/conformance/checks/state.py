@@ -39,6 +39,20 @@ def restored_state_repeats(subject: Subject) -> None:
         _same(subject, states["once"], states["again"], f"{MEDDLED} steps after restore are not those after snapshot:")
 
 
+def restored_before_compile_repeats(subject: Subject) -> None:
+    """Take a snapshot of another build before compile, as a recording that begins at a snapshot does, and keep it."""
+    complete = _offered(subject, "snapshot")
+    states = subject.meddled.states
+    if "restored" not in states:
+        raise NotApplicable(f"reset: {subject.claims.reset.why}")
+    shown, onward = subject.revived
+    _same(subject, states["restored"], shown, "restore before compile does not bring back")
+    if complete:
+        _same(
+            subject, states["once"], onward, f"{MEDDLED} steps after restore and compile are not those after snapshot:"
+        )
+
+
 def restoring_some_leaves_others(subject: Subject) -> None:
     """Restore some environments, with all that decides their next steps, and change nothing of the others."""
     complete = _offered(subject, "some")

@@ -124,7 +124,6 @@ class IsaacLab(Simulator):
                 "determinism": self.determinism,
                 "spacing": options.spacing,
                 **self._physics.switches(),
-                "warnings": list(self._world.warnings),
             },
             deviations=self._deviations(),
             fields=self._world.fields(),
@@ -137,6 +136,7 @@ class IsaacLab(Simulator):
             buffers=self._physics.buffers,
             counters=self._physics.counters,
             overflow_bits=self._physics.overflow_bits,
+            remarks=self._world.warnings,
         )
 
     def _deviations(self) -> tuple[Deviation, ...]:

@@ -124,7 +124,6 @@ class Newton(Simulator):
                 "contacts": "MuJoCo Warp" if pipeline is None else f"CollisionPipeline, {pipeline.broad_phase_mode}",
                 "contacts_sorted": pipeline is not None and pipeline.deterministic,
                 "warp": wp.config.version,
-                "warnings": list(self._worlds.warnings),
             },
             deviations=self._deviations(),
             fields=self._world.layout.fields(),
@@ -133,6 +132,7 @@ class Newton(Simulator):
             buffers=self._watch.buffers,
             counters=self._watch.counters,
             overflow_bits=self._watch.overflow_bits,
+            remarks=self._worlds.warnings,
         )
 
     def _deviations(self) -> tuple[Deviation, ...]:
