@@ -24,6 +24,7 @@ BEGIN, END = "<!-- engines: docs/make_models.py -->", "<!-- end of engines -->"
 TIMES: dict[str, tuple[float, ...]] = {
     "ant": (0.1, 0.2, 0.3, 0.6, 2.0),
     "humanoid": (0.03, 0.12, 0.21, 0.3, 0.6),
+    "manipulator": (0.025, 0.1, 0.2, 0.3, 0.5),
 }
 """By folder, the times of the columns [s]; each is a recorded one."""
 
@@ -50,8 +51,9 @@ def runs(folder: str) -> list[Recording]:
 
 
 def device(run: Recording) -> str:
-    """What the engine stepped on: CPU, or a GPU's model."""
-    assert run.simulation is not None
+    """What the engine stepped on: CPU, or a GPU's model; empty where it refused the model."""
+    if run.simulation is None:
+        return ""
     return "CPU" if run.simulation.device == "cpu" else run.simulation.device.split()[1]
 
 
@@ -87,6 +89,11 @@ def table(folder: str) -> str:
     times = TIMES[folder]
     lines = [_row(["engine", "device", *(f"{time:g} s" for time in times)]), "| " + "--- | " * (2 + len(times))]
     for run in others:
+        if run.cause == "refused":
+            lines.append(
+                _row([NAMES[run.configuration.simulator], "", f"refused: {run.reason}", *[""] * (len(times) - 1)])
+            )
+            continue
         largest, bodies = off(run, reference)
         asked = run.configuration
         rows = [round(time / asked.dt / asked.stride) for time in times]

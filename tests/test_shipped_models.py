@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import ModuleType
 
@@ -10,11 +11,19 @@ import pytest
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas import arrays
+from gpusimbench.schemas.treatment import CONTROLS, GIVEN
 from tests.scripts import script
 
 RECORDINGS = Path(__file__).resolve().parent.parent / "recordings"
-SMALL = {"ant": 2.2e6, "humanoid": 1.5e6}
+SMALL = {"ant": 2.2e6, "humanoid": 1.5e6, "manipulator": 1e6}
 """Folders, and what their recordings may take together [bytes]."""
+
+ARM = ("arm_root", "arm_shoulder", "arm_elbow", "arm_wrist")
+"""Joints of the manipulator from its root, 0.4 m above the ground, to its hand."""
+
+ARM_M = np.array([0.18, 0.15, 0.12, 0.065])
+"""From each of them to the next, and from the last to the middle of the palm [m]."""
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +45,13 @@ def test_the_recordings_are_whole_and_small(models: ModuleType, folder: str) -> 
     runs = models.runs(folder)
     for run in runs:
         verify(run)
-        assert run.status == "complete"
+        assert (run.status, run.cause) in (("complete", ""), ("failed", "refused"))
         assert not run.provenance.software["recorder"]["modified"]
         given = [word for word in run.provenance.argv if word.startswith("/")]
         assert not given or (folder, run.simulation.device) == ("ant", "NVIDIA H100 80GB HBM3")
     assert sum(run.path.stat().st_size for run in runs) < SMALL[folder]
-    assert "Copyright" in (RECORDINGS / folder / "LICENSE").read_text(encoding="utf-8")
+    notice = (RECORDINGS / folder / "LICENSE").read_text(encoding="utf-8")
+    assert ("Apache License" if folder == "manipulator" else "Farama Foundation") in notice
 
 
 def test_what_the_humanoid_shows(models: ModuleType) -> None:
@@ -61,3 +71,36 @@ def test_what_the_humanoid_shows(models: ModuleType) -> None:
 def _height(run: Recording) -> np.ndarray:
     # of the torso of environment 0, at each recorded step [m]
     return np.asarray(run.state("bodies", "position")[:])[:, 0, 0, 2]
+
+
+def test_the_inputs_of_the_hand(models: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The program of the page makes the first states and the controls that the recordings carry."""
+    page = models.page("manipulator").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    exec(re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0], {})  # noqa: S102
+    for run in models.runs("manipulator"):
+        for name in (CONTROLS, GIVEN):
+            data = run.attachment(name)
+            assert data is not None
+            kept = arrays.decode(name, data)
+            made = arrays.decode(name, Path("controls.npz" if name == CONTROLS else "initial.npz").read_bytes())
+            assert kept.keys() == made.keys()
+            for key, array in made.items():
+                np.testing.assert_array_equal(kept[key], array.astype(kept[key].dtype))
+
+
+def test_what_the_hand_shows(models: ModuleType) -> None:
+    """The hand keeps the ball on every engine that takes the model; the others name the constraint that they lack."""
+    runs = models.runs("manipulator")
+    taken = [run for run in runs if run.status == "complete"]
+    assert [run.configuration.simulator for run in taken] == ["mujoco", "warp", "newton", "mjx"]
+    for run in runs[len(taken) :]:
+        assert "constraint of equality 'coupling'" in run.reason
+    for run in taken:
+        names = next(field.items for field in run.simulation.fields if field.name == "joints/qpos")
+        qpos = np.asarray(run.state("joints", "qpos")[:])[..., 0]
+        angles = np.cumsum(qpos[..., [names.index(name) for name in ARM]], axis=-1)  # about -y
+        palm = np.stack([-np.sin(angles) @ ARM_M, 0.4 + np.cos(angles) @ ARM_M], axis=-1)
+        ball = qpos[..., [names.index("ball_x"), names.index("ball_z")]]
+        assert np.linalg.norm(ball - palm, axis=-1).max() < 0.018
+        assert np.linalg.norm(palm - palm[0], axis=-1).max() > 0.4  # the arm swings
