@@ -12,8 +12,11 @@ import pytest
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas import arrays
+from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN
+from tests.conftest import call
 from tests.scripts import script
+from tests.test_docs import FENCE, shows
 
 RECORDINGS = Path(__file__).resolve().parent.parent / "recordings"
 SMALL = {"ant": 2.2e6, "humanoid": 1.5e6, "manipulator": 1e6}
@@ -104,3 +107,15 @@ def test_what_the_hand_shows(models: ModuleType) -> None:
         ball = qpos[..., [names.index("ball_x"), names.index("ball_z")]]
         assert np.linalg.norm(ball - palm, axis=-1).max() < 0.018
         assert np.linalg.norm(palm - palm[0], axis=-1).max() > 0.4  # the arm swings
+
+
+def test_what_the_readme_shows() -> None:
+    """The command of the README on a model's recordings prints what stands below it, and says of PhysX what follows."""
+    text = (RECORDINGS.parent / "README.md").read_text(encoding="utf-8")
+    section = text.partition("## Do engines agree on my robot?")[2].partition("\n## ")[0]
+    (_, _, command), (_, _, printed) = FENCE.findall(section)
+    _, first, second = command.partition("  # exit code ")[0].split()
+    a, b = (RECORDINGS.parent / name for name in (first, second))
+    assert shows(printed, call("gsb-diff", a, b, code=ExitCode.GATE_FAILED).stdout)
+    other = call("gsb-diff", a, RECORDINGS / "humanoid" / "physx-cpu.mcap", code=ExitCode.GATE_FAILED).stdout
+    assert "bodies up to 22.5 cm apart at 0.6 s, 1 mm reached by 0.15 s" in other
