@@ -98,6 +98,7 @@ figures: install
 	$(BIN)/python docs/make_physics.py
 	$(BIN)/python docs/make_friction.py
 	$(BIN)/python docs/make_devices.py
+	$(BIN)/python docs/make_models.py
 	$(BIN)/python -m docs.make_metrics
 	$(BIN)/python -m docs.make_loop
 

@@ -34,7 +34,7 @@ from gpusimbench.schemas.model_files import pack
 ENGINES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
     "warp": ("warp", {}, {"solver": "Newton"}),
     "mjx": ("mjx", {}, {"solver": "Newton"}),
-    "newton": ("newton", {}, {"mujoco_solver": "Newton"}),
+    "newton": ("newton", {}, {"solver": "Newton"}),
     "newton-xpbd": ("newton", {"solver": "xpbd"}, {}),
     "newton-featherstone": ("newton", {"solver": "featherstone"}, {}),
     "physx": ("physx", {"device": "cpu"}, {}),
@@ -102,7 +102,7 @@ def _cell(path: Path, engine: str, steps: int, integrator: str) -> str:
         try:
             found, lost = _run(simulator, scene, {**options, **(instead if mark else {})}, steps)
         except (Refused, UsageError) as error:
-            reason = f"refused: {str(error).partition('; an option of')[0]}"
+            reason = f"refused: {str(error).partition('; --option')[0]}"
             continue
         off = max(float(np.abs(a - b).max()) for a, b in zip(found, wanted, strict=True))
         return (

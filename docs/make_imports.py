@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "how-to" / "what-the-importer-lost.md"
 BEGIN, END = "<!-- imports: docs/make_imports.py -->", "<!-- end of imports -->"
 ENGINES = ("warp", "mjx", "newton", "physx", "isaaclab", "genesis")
-_NO_PGS = {"warp": "solver=Newton", "mjx": "solver=Newton", "newton": "mujoco_solver=Newton"}
+_NO_PGS = {"warp": "solver=Newton", "mjx": "solver=Newton", "newton": "solver=Newton"}
 
 
 def models() -> dict[str, Path]:

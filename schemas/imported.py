@@ -26,8 +26,11 @@ IMPORTED = "imported.npz"
 TRIALS = "import-trials.npz"
 """Attachment with what an engine did with drawn poses and single impulses."""
 
+DROP = "import-drop.npz"
+"""Attachment with how a model came to the ground on an engine."""
+
 MAX_BYTES = 64 << 20
-"""Of the arrays of either attachment."""
+"""Of the arrays of each attachment."""
 
 NAMES, UNREAD = "names", "unread"
 _MOST_NAMES = 1 << 20
@@ -236,6 +239,42 @@ class Trials:
         return made
 
 
+@dataclass(frozen=True)
+class Drop:
+    """How a model comes to the ground on an engine, from its first state and without controls. A row is the state
+    before the first step, or after a step; all of it is computed by MuJoCo C's model from the engine's states.
+
+    time      [row] [s]
+    contact   [row], whether a shape that moves reaches into one that does not
+    height    [row], of the centre of mass of all that moves [m]
+    momentum  [row], of the same, upwards [kg m/s]
+    weight    of the same [N]
+    """
+
+    time: Floats
+    contact: NDArray[np.bool_]
+    height: Floats
+    momentum: Floats
+    weight: float
+
+    def encoded(self) -> bytes:
+        """The attachment."""
+        return arrays.encode(
+            {name: np.asarray(array) for name, array in vars(self).items()} | {"contact": self.contact.astype(np.int64)}
+        )
+
+    @classmethod
+    def decoded(cls, data: bytes) -> Drop:
+        """From the attachment; DamagedRecording where it is none, or its shapes do not fit each other."""
+        found = arrays.decode(DROP, data, most=MAX_BYTES)
+        time = _numbers(found, "time", (None,), of=DROP)
+        rows = [_numbers(found, name, (len(time),), of=DROP) for name in ("contact", "height", "momentum")]
+        weight = _numbers(found, "weight", (), of=DROP)
+        if len(time) < 2 or not (np.diff(time) > 0).all() or not weight > 0:
+            raise DamagedRecording(f"{DROP}: times do not ascend, or nothing has a weight")
+        return cls(time, rows[0] != 0, rows[1], rows[2], float(weight))
+
+
 def _below(found: Mapping[str, object], prefix: str) -> list[str]:
     return [name.removeprefix(prefix) for name in found if name.startswith(prefix)]
 
@@ -248,13 +287,13 @@ def _texts(found: Mapping[str, NDArray[np.generic]], name: str) -> tuple[str, ..
 
 
 def _numbers(
-    found: Mapping[str, NDArray[np.generic]], name: str, shape: tuple[int | None, ...]
+    found: Mapping[str, NDArray[np.generic]], name: str, shape: tuple[int | None, ...], of: str = TRIALS
 ) -> NDArray[np.floating]:
     array = found.get(name)
     if array is None or array.dtype.kind not in "if" or array.ndim != len(shape):
-        raise DamagedRecording(f"{TRIALS}: {name} is no array of {len(shape)} axes")
+        raise DamagedRecording(f"{of}: {name} is no array of {len(shape)} axes")
     if any(wanted is not None and size != wanted for size, wanted in zip(array.shape, shape, strict=True)):
-        raise DamagedRecording(f"{TRIALS}: {name} has the shape {array.shape}")
-    if not np.isfinite(array).all() and name in ("contacts",):
-        raise DamagedRecording(f"{TRIALS}: {name} is not finite")
+        raise DamagedRecording(f"{of}: {name} has the shape {array.shape}")
+    if not np.isfinite(array).all() and name in ("contacts", "time", "weight"):
+        raise DamagedRecording(f"{of}: {name} is not finite")
     return array.astype(np.float64)

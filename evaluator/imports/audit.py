@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from gpusimbench.evaluator.imports.landing import Landings, landings
 from gpusimbench.evaluator.imports.motion import Items, Poses, Responses, poses, responses
 from gpusimbench.evaluator.imports.parameters import Compared, Finding, compare
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
-from gpusimbench.schemas.imported import IMPORTED, TRIALS, Imported, Trials
+from gpusimbench.schemas.imported import DROP, IMPORTED, TRIALS, Drop, Imported, Trials
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import engine_name
 
@@ -30,6 +31,7 @@ class Audit:
     kinds      parameters, by kind of things
     poses      the engine's kinematics
     responses  the engine's dynamics
+    landings   how the model comes to the ground, which is no part of the verdict
     """
 
     simulator: str
@@ -43,6 +45,7 @@ class Audit:
     kinds: tuple[Compared, ...]
     poses: Poses | Missing
     responses: Responses | Missing
+    landings: Landings | Missing
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -59,7 +62,7 @@ class Audit:
 def refused(simulator: str, options: Sequence[str], why: str) -> Audit:
     """Of an engine that does not take the model."""
     none = Missing("the model was refused")
-    return Audit(simulator, "", "", tuple(options), "", True, None, why, (), none, none)
+    return Audit(simulator, "", "", tuple(options), "", True, None, why, (), none, none, none)
 
 
 def audited(recordings: Sequence[Recording]) -> tuple[Audit, ...]:
@@ -103,6 +106,7 @@ def _audit(recording: Recording, reference: Recording) -> Audit:
     try:
         kinds = compare(Imported.decoded(ours), Imported.decoded(held))
         moved: tuple[Poses | Missing, Responses | Missing] = _moved(recording, reference)
+        landed = _landed(recording, reference)
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path} or {reference.path}: {error}") from None
     return Audit(
@@ -117,6 +121,7 @@ def _audit(recording: Recording, reference: Recording) -> Audit:
         kinds=kinds,
         poses=moved[0],
         responses=moved[1],
+        landings=landed,
     )
 
 
@@ -130,6 +135,13 @@ def _moved(recording: Recording, reference: Recording) -> tuple[Poses | Missing,
     ours, theirs = (Trials.decoded(found) for found in data if found is not None)
     items = _items(reference), _items(recording)
     return poses(ours, theirs, items), responses(ours, theirs, items)
+
+
+def _landed(recording: Recording, reference: Recording) -> Landings | Missing:
+    ours, theirs = (one.attachment(DROP) for one in (reference, recording))
+    if ours is None or theirs is None:
+        return Missing("there is no drop: --phases import records it of a model with a free body")
+    return landings(Drop.decoded(ours), Drop.decoded(theirs))
 
 
 def _items(recording: Recording) -> Items:

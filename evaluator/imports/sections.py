@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.imports.audit import Audit
+from gpusimbench.evaluator.imports.landing import Landing
 from gpusimbench.evaluator.imports.motion import MAX_DISTANCE, Poses, Response, Responses
 from gpusimbench.evaluator.imports.parameters import Compared, Finding, Verdict
 from gpusimbench.evaluator.json_values import dump, values_of
@@ -27,6 +28,7 @@ _MOST_ROWS = 40  # differences that are shown without --all
 
 _COMPARED = ("what", "compared", "result")
 _DIFFERENCES = ("what", "item", "MuJoCo C", "engine", "difference")
+_DROP = ("engine", "first contact", "centre of mass then", "weight carried at the end")
 _FALSE = {
     Verdict.MISSING: "missing",
     Verdict.ADDED: "not in the model",
@@ -77,6 +79,12 @@ def _blocks(number: int, audit: Audit, every: bool) -> Iterator[Block]:
         yield Text("The reference was made of other files: differences of the two are found, too.", Tone.WARNING)
     rows = [_kind_row(kind) for kind in audit.kinds]
     yield table(f"import-{number}", "", _COMPARED, [*rows, _poses_row(audit.poses), _responses_row(audit.responses)])
+    if not isinstance(audit.landings, Missing):
+        landed = [("MuJoCo C", audit.landings.reference), (audit.simulator, audit.landings.engine)]
+        title = f"A drop of {audit.landings.duration:.3g} s, which is not judged"
+        yield table(f"import-{number}-drop", title, _DROP, [_landing_row(*row) for row in landed])
+    elif every:
+        yield Text(f"no drop was compared: {audit.landings.reason}", Tone.QUIET)
     differences = list(_differences(audit))
     if differences:
         shown = differences if every else differences[:_MOST_ROWS]
@@ -133,6 +141,13 @@ def _responses_row(found: Responses | Missing) -> list[Cell | str]:
     worst_steps = max(one.steps for one in compared if not isinstance(one.steps, Missing))
     notes.insert(0, f"at most {worst_steps:.1g} time steps apart")
     return ["responses", said, Cell("agrees", notes=tuple(notes), tone=Tone.GOOD)]
+
+
+def _landing_row(name: str, one: Landing) -> list[Cell | str]:
+    time = "none" if isinstance(one.time, Missing) else Cell(f"{one.time:.3g} s", one.time)
+    height = "-" if isinstance(one.height, Missing) else Cell(f"{one.height:.3g} m", one.height)
+    carried = "not finite" if isinstance(one.carried, Missing) else Cell(f"{one.carried:.0%}", one.carried)
+    return [name, time, height, carried]
 
 
 def _differences(audit: Audit) -> Iterator[list[Cell | str]]:

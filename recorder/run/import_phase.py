@@ -13,7 +13,7 @@ from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONTACTS
 from gpusimbench.schemas.arrays import MEDIA_TYPE
-from gpusimbench.schemas.imported import IMPORTED, TRIALS, Trials
+from gpusimbench.schemas.imported import DROP, IMPORTED, TRIALS, Trials
 
 Make = Callable[[Scene, int], Simulator]
 """Of a scene and a number of environments, a simulator that was not built yet."""
@@ -26,11 +26,15 @@ def write_imported(journal: Journal, simulator: Simulator) -> None:
 
 
 def write_trials(journal: Journal, scene: ModelScene, make: Make, *, dt: float, seed: int) -> None:
-    """Try the model on a simulator of its own, and attach what came of it."""
+    """Try the model on simulators of its own, and attach what came of it."""
+    from gpusimbench.recorder.simulators.mujoco.drop import dropped
+
     if (found := tried(scene, make, dt=dt, seed=seed)) is None:
         journal.event("NOTE", "the simulator does not tell what it holds of a model file; nothing was tried")
     else:
         journal.sink.attach(TRIALS, MEDIA_TYPE, found.encoded())
+        if (drop := dropped(scene, make, dt=dt)) is not None:
+            journal.sink.attach(DROP, MEDIA_TYPE, drop.encoded())
 
 
 def tried(scene: ModelScene, make: Make, *, dt: float, seed: int) -> Trials | None:

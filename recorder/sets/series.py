@@ -109,6 +109,7 @@ def record_set(request: Request, count: int, maker: Maker) -> tuple[int, Json]:
     c = request.configuration
     title = f"{c.simulator}, {c.scene}, {c.n_env} envs, dt {c.dt:g} s, {count} runs"
     code = ExitCode.OK
+    refused = False
     results = []
     with (
         Interruptions() as interruptions,
@@ -119,8 +120,11 @@ def record_set(request: Request, count: int, maker: Maker) -> tuple[int, Json]:
             _show(request, result, progress)
             results.append(_json(run, result.path, _outcome(result)))
             code = max(code, result.exit_code)
-            if result.exit_code == ExitCode.USAGE or result.status == "stopped":  # so would the next
+            refused = result.cause == "REFUSED"
+            if refused or result.exit_code == ExitCode.USAGE or result.status == "stopped":  # so would the next
                 break
+    if refused and (spared := count - len(results)):
+        say(f"{spared} of {count} runs are not made: they would be refused as this one was")
     if interruptions.count:
         say(f"interrupted: {len(results)} of {count} runs were started")
         code = max(code, ExitCode.FAILURE)

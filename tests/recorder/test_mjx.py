@@ -81,11 +81,14 @@ def test_options_that_there_are_not(options: dict[str, Any]) -> None:
         make("mjx", PAIR, **options)
 
 
-@pytest.mark.parametrize("options", [{"integrator": "implicit"}, {"solver": "PGS"}])
-def test_what_mjx_has_not_implemented_is_refused(options: dict[str, Any]) -> None:
-    """Say as an outcome, not as a crash, that the implementation in JAX lacks something."""
+@pytest.mark.parametrize(
+    ("options", "instead"),
+    [({"integrator": "implicit"}, "integrator=implicitfast"), ({"solver": "PGS"}, "solver=Newton")],
+)
+def test_what_mjx_has_not_implemented_is_refused(options: dict[str, Any], instead: str) -> None:
+    """Say as an outcome, not as a crash, that the implementation in JAX lacks something, and what to give instead."""
     simulator = make("mjx", PAIR, n_env=1, **options)
-    with pytest.raises(Refused, match="impl=jax"):
+    with pytest.raises(Refused, match=f"impl=jax.*; --option {instead} replaces"):
         simulator.build()
         simulator.compile("timed")
 

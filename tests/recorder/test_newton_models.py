@@ -379,9 +379,14 @@ def test_pgs() -> None:
     from gpusimbench.recorder.simulators.newton.simulator import Newton
 
     scene = _scene(_gymnasium("humanoid"))
-    with pytest.raises(UsageError, match="not 'PGS'"):
+    with pytest.raises(UsageError, match="does not take humanoid: mjSOL_PGS; --option solver=Newton replaces"):
         Newton.parsed("newton", scene, {})
     options = Newton.parsed("newton", scene, {"mujoco_solver": "Newton"})
     assert (options.iterations, options.cone) == (50, "pyramidal")
+    assert Newton.parsed("newton", scene, {"solver": "Newton"}) == options
+    given = Newton.parsed("newton", scene, {"solver": "CG"})
+    assert (given.solver, given.mujoco_solver, given.iterations) == ("mujoco", "CG", 50)
+    with pytest.raises(UsageError, match="contradict"):
+        Newton.parsed("newton", scene, {"solver": "Newton", "mujoco_solver": "CG"})
     assert Newton.parsed("newton", scene, {"solver": "xpbd"}).iterations == 0
     assert _imported(scene)[0].imported is not None

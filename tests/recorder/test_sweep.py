@@ -36,6 +36,7 @@ import os, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
+from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.simulators.base import Ability, Description, Simulator
 from gpusimbench.schemas.fields import body_field
 
@@ -52,6 +53,8 @@ class Limited(Simulator):
         if self.n_env >= self.options.limit:
             if self.options.mode == "memory":
                 self.more = np.empty(1 << 56)
+            if self.options.mode == "refuse":
+                raise Refused("no such scene")
             if self.options.mode == "raise":
                 raise RuntimeError("too many")
             if self.options.mode == "exit":
@@ -423,6 +426,23 @@ def test_where_a_sweep_ends(
     again = _limited(gsb_record, limited, tmp_path, mode, "--option", f"limit={limit}")
     assert (again.returncode, again.stdout) == (code, "")
     assert again.stderr.endswith(said + "\n")
+
+
+@pytest.mark.parametrize(("mode", "made"), [("refuse", 1), pytest.param("raise", 3, marks=pytest.mark.slow)])
+def test_a_set_ends_at_a_refusal(
+    gsb_record: Command, limited: dict[str, str], tmp_path: Path, mode: str, made: int
+) -> None:
+    """Make no further run where the simulator refuses the first, and all of them where it crashes."""
+    done = gsb_record(
+        "--sim", "limited", *_TINY, "--n-env", 4, "--runs", 3, "--option", f"mode={mode}", "--out", tmp_path,
+        code=1, env={**limited, "GSB_TEST_FOLDER": str(tmp_path)},
+    )  # fmt: skip
+    files = sorted(tmp_path.glob("*.mcap"))
+    assert done.stdout.split() == list(map(str, files))
+    assert [open_recording(file).status for file in files] == ["failed"] * made
+    assert done.stderr.count("no such scene") == (mode == "refuse")
+    spared = "2 of 3 runs are not made: they would be refused as this one was"
+    assert (spared in done.stderr) == (mode == "refuse")
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpusimbench import open_recording
+from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.run.vary import variation
 from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.franka import franka
@@ -137,6 +138,12 @@ def test_measured_buffers_hold_the_impact() -> None:
     assert not (evidence.overflow & fatal).any()
     most = evidence.counts["contacts"].max()
     assert 109 <= most < next(b.asked for b in description.buffers if b.name == "nconmax")
+
+
+def test_a_constraint_solver_that_warp_has_not() -> None:
+    """Refuse MuJoCo's PGS as an outcome, with the option that replaces it."""
+    with pytest.raises(Refused, match="mjSOL_PGS is unsupported; --option solver=Newton replaces the model's own"):
+        build(PAIR, solver="PGS")
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.imported import KINDS, PARAMETERS, Imported, Trials
+from gpusimbench.schemas.imported import KINDS, PARAMETERS, Drop, Imported, Trials
 
 _TEXTS = st.text(st.characters(exclude_characters="\0\t", codec="utf-8"), max_size=5)  # NumPy cuts zeros at the end
 
@@ -135,3 +135,42 @@ def test_trials_that_cannot_be(key: str, change: Callable[[Any], Any]) -> None:
     changed = change(told.pop(key, None))
     with pytest.raises(DamagedRecording, match=r"^import-trials\.npz"):
         Trials.decoded(arrays.encode(told if changed is None else {**told, key: changed}))
+
+
+def _drop() -> dict[str, Any]:
+    return {
+        "time": np.array([0, 0.1, 0.2]),
+        "contact": np.array([0, 0, 1]),
+        "height": np.array([1, 0.9, np.nan]),
+        "momentum": np.array([0, -1, -2.0]),
+        "weight": np.array(9.81),
+    }
+
+
+def test_a_drop_comes_back() -> None:
+    """Read back every array, and heights that are no numbers."""
+    found = Drop.decoded(Drop.decoded(arrays.encode(_drop())).encoded())
+    assert found.contact.tolist() == [False, False, True]
+    for name in ("time", "height", "momentum", "weight"):
+        assert np.array_equal(getattr(found, name), _drop()[name], equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [
+        *((key, lambda a: None) for key in _drop()),
+        *((key, lambda a: a[..., None]) for key in _drop()),
+        *((key, lambda a: a[:-1]) for key in ("time", "contact", "height", "momentum")),
+        ("time", lambda a: a[::-1]),
+        ("time", lambda a: np.array([0, 1, np.inf])),
+        ("weight", lambda a: -a),
+        ("weight", lambda _: np.array(np.nan)),
+        ("contact", lambda _: np.array(["0", "0", "1"])),
+    ],
+)
+def test_a_drop_that_cannot_be(key: str, change: Callable[[Any], Any]) -> None:
+    """Refuse an array that is missing, of other axes or length, or times and weights that cannot be."""
+    told = _drop()
+    changed = change(told.pop(key))
+    with pytest.raises(DamagedRecording, match=r"^import-drop\.npz"):
+        Drop.decoded(arrays.encode(told if changed is None else {**told, key: changed}))

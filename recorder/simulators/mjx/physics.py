@@ -17,7 +17,13 @@ from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW
 from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
-from gpusimbench.recorder.simulators.mujoco.options import CONES, STATE_COMPONENTS, MjcfOptions, one_of
+from gpusimbench.recorder.simulators.mujoco.options import (
+    CONES,
+    STATE_COMPONENTS,
+    MjcfOptions,
+    one_of,
+    replacement,
+)
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 IMPLEMENTATIONS = ("jax", "warp")
@@ -266,4 +272,5 @@ def refusals(impl: str) -> Iterator[None]:
     try:
         yield
     except NotImplementedError as error:
-        raise Refused(f"MJX (impl={impl}) does not take these options or this scene: {error}") from None
+        said = f"MJX (impl={impl}) does not take these options or this scene: {error}"
+        raise Refused(f"{said}{replacement(said)}") from None

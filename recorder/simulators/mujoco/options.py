@@ -18,6 +18,9 @@ _IMPEDANCE = (0.0001, 0.9999)  # mjMINIMP, mjMAXIMP: MuJoCo clips to these
 OPTION_ATTRIBUTES = ("integrator", "cone", "solver", "iterations", "ls_iterations", "tolerance", "impratio")
 GEOM_ATTRIBUTES = ("solref", "solimp", "condim")
 
+_REPLACED = {"mjSOL_": "solver=Newton", "mjINT_": "integrator=implicitfast", "mjCONE_": "cone=pyramidal"}
+"""By the prefix of MuJoCo's constants, an option that the engines of its family know."""
+
 STATE_COMPONENTS = (
     "time", "qpos", "qvel", "act", "history", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied", "eq_active",
     "mocap_pos", "mocap_quat", "userdata", "plugin_state", "plastic",
@@ -94,3 +97,10 @@ def one_of(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
     if value not in allowed:
         known = list(map(str, allowed))
         raise ValueError(f"{name} is one of {', '.join(known)}, not '{value}'{did_you_mean(str(value), known)}")
+
+
+def replacement(refusal: str) -> str:
+    """What to do about a solver, an integrator or a cone that an engine refuses by MuJoCo's name, to be added to the
+    refusal: the option that replaces it. Empty where the refusal names something else."""
+    options = [f"--option {option}" for prefix, option in _REPLACED.items() if prefix in refusal]
+    return f"; {' '.join(options)} replaces the model's own" if options else ""

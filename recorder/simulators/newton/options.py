@@ -22,7 +22,8 @@ SOLVERS = ("mujoco", "xpbd", "steel", "semi-implicit", "featherstone", "vbd", "k
 class NewtonOptions:
     """Options of Newton; one that a solver does not have is without effect, and recorded as null.
 
-    solver               mujoco, xpbd, steel, semi-implicit, featherstone, vbd or kamino
+    solver               mujoco, xpbd, steel, semi-implicit, featherstone, vbd or kamino; Newton or CG: mujoco, with
+                         this solver of constraints, as the simulators of MuJoCo's family call it
     substeps             solver steps per step, each with its own collision detection
     iterations           of the solver; 0: its own default
     device               auto, cpu or cuda (the first GPU that CUDA shows)
@@ -35,7 +36,7 @@ class NewtonOptions:
                          ships (xpbd off, steel on)
     use_mujoco_contacts  mujoco: MuJoCo's collision detection instead of Newton's
     cone                 mujoco: elliptic or pyramidal friction cones
-    mujoco_solver        mujoco: of constraints: Newton or CG
+    mujoco_solver        mujoco: of constraints: Newton or CG; the same as solver=Newton or solver=CG
     max_contacts         contacts per environment for which there is room; 0: as many as were measured, and a margin
     max_rows             mujoco, steel: the same for rows of constraints; vbd: for contacts of one body
     """
@@ -56,6 +57,11 @@ class NewtonOptions:
     max_rows: int = 0
 
     def __post_init__(self) -> None:
+        if self.solver in MUJOCO_SOLVERS:
+            if self.mujoco_solver not in (NewtonOptions.mujoco_solver, self.solver):
+                raise ValueError(f"solver={self.solver} and mujoco_solver={self.mujoco_solver} contradict each other")
+            object.__setattr__(self, "mujoco_solver", self.solver)
+            object.__setattr__(self, "solver", "mujoco")
         one_of("solver", self.solver, SOLVERS)
         one_of("cone", self.cone, CONES)
         one_of("mujoco_solver", self.mujoco_solver, MUJOCO_SOLVERS)

@@ -24,10 +24,11 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
-from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, NewtonOptions
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions, replacement
+from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, MUJOCO_SOLVERS, NewtonOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
+from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 
@@ -65,8 +66,14 @@ class Newton(Simulator):
     def parsed(cls, name: str, scene: Scene, given: Mapping[str, str]) -> Any:
         """See Simulator.parsed: solver mujoco is set as a model says, and 'solver' in MJCF is not Newton's."""
         own = dict(scene.options({}, ("cone", "iterations", "solver")))
-        if own and given.get("solver", NewtonOptions.solver) == "mujoco":
+        solver = given.get("solver", NewtonOptions.solver)
+        if own and solver in MUJOCO_SOLVERS:
+            given = {"cone": own["cone"], "iterations": own["iterations"], **given}
+        elif own and solver == "mujoco":
             given = {"cone": own["cone"], "iterations": own["iterations"], "mujoco_solver": own["solver"], **given}
+            if given["mujoco_solver"] not in MUJOCO_SOLVERS and given["mujoco_solver"] == own["solver"]:
+                said = f"simulator '{name}' with solver=mujoco does not take {scene.name}: mjSOL_{own['solver']}"
+                raise UsageError(f"{said}{replacement(said)}")
         return parse_options(name, cls.Options, given)
 
     @classmethod

@@ -21,6 +21,7 @@ from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.flight import Flight, Watch
+from gpusimbench.recorder.simulators.mujoco.options import replacement
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
@@ -132,10 +133,8 @@ class MujocoWarp(Simulator):
                 asked = f"determinism '{self.determinism}' for this scene"
                 raise Refused(f"MuJoCo Warp refuses {asked}: {text}") from None
             if isinstance(error, NotImplementedError):
-                raise Refused(
-                    f"MuJoCo Warp does not take this scene: {text}; an option of the solver can be given instead of "
-                    "the model's, such as --option solver=Newton"
-                ) from None
+                said = f"MuJoCo Warp does not take this scene: {text.rstrip('.')}"
+                raise Refused(f"{said}{replacement(said)}") from None
             raise
 
     def _new_data(self, n_env: int) -> Any:

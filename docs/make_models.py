@@ -1,0 +1,123 @@
+"""Redraws the tables of recordings/ant, humanoid and manipulator: how far engines are from MuJoCo C on one model file.
+
+usage: python docs/make_models.py
+
+Each folder holds runs of one model file under the same controls, one run an engine and device. A cell is the largest
+distance of a body with a free joint from where MuJoCo C has it, over environments; of a model without such bodies, the
+largest difference of a joint coordinate [rad, and m for slides].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench import open_recording
+from gpusimbench.evaluator.diff.words import length
+from gpusimbench.evaluator.read.recording import Recording
+
+ROOT = Path(__file__).resolve().parent.parent
+BEGIN, END = "<!-- engines: docs/make_models.py -->", "<!-- end of engines -->"
+TIMES: dict[str, tuple[float, ...]] = {
+    "ant": (0.1, 0.2, 0.3, 0.6, 2.0),
+    "humanoid": (0.03, 0.12, 0.21, 0.3, 0.6),
+    "manipulator": (0.025, 0.1, 0.2, 0.3, 0.5),
+}
+"""By folder, the times of the columns [s]; each is a recorded one."""
+
+NAMES = {
+    "mujoco": "MuJoCo C",
+    "warp": "MuJoCo Warp",
+    "newton": "Newton (MuJoCo)",
+    "mjx": "MJX",
+    "genesis": "Genesis",
+    "physx": "PhysX",
+}
+"""Simulators in the order of rows."""
+
+
+def page(folder: str) -> Path:
+    """The document that has the table of a folder."""
+    return ROOT / "recordings" / folder / "README.md"
+
+
+def runs(folder: str) -> list[Recording]:
+    """The recordings of a folder in the order of rows, MuJoCo C first."""
+    opened = [open_recording(path) for path in sorted(page(folder).parent.glob("*.mcap"))]
+    return sorted(opened, key=lambda run: (list(NAMES).index(run.configuration.simulator), device(run)))
+
+
+def device(run: Recording) -> str:
+    """What the engine stepped on: CPU, or a GPU's model; empty where it refused the model."""
+    if run.simulation is None:
+        return ""
+    return "CPU" if run.simulation.device == "cpu" else run.simulation.device.split()[1]
+
+
+def off(run: Recording, reference: Recording) -> tuple[NDArray[np.float64], bool]:
+    """The largest difference at each recorded step, and whether it is a distance of bodies [m].
+
+    AssertionError where the runs have other items, steps or controls.
+    """
+    assert run.simulation is not None and reference.simulation is not None
+    asked, other = run.configuration, reference.configuration
+    assert (asked.model, asked.actions, asked.stride, asked.n_env) == (
+        other.model, other.actions, other.stride, other.n_env,
+    )  # fmt: skip
+    items = {field.name: field.items for field in reference.simulation.fields}
+    assert items == {field.name: field.items for field in run.simulation.fields}
+    bodies = "bodies/position" in items
+    arrays = []
+    for one in (run, reference):
+        assert one.simulation is not None
+        array = np.asarray(one.state(*(("bodies", "position") if bodies else ("joints", "qpos")))[:], dtype=np.float64)
+        if bodies and one.simulation.env_origins:
+            array = array - np.array(one.simulation.env_origins)[:, np.newaxis]
+        arrays.append(array)
+    apart = np.linalg.norm(arrays[0] - arrays[1], axis=-1) if bodies else np.abs(arrays[0] - arrays[1])[..., 0]
+    largest: NDArray[np.float64] = apart.max(axis=(1, 2))
+    return largest, bodies
+
+
+def table(folder: str) -> str:
+    """A row for each engine and device of a folder but MuJoCo C."""
+    reference, *others = runs(folder)
+    assert reference.configuration.simulator == "mujoco"
+    times = TIMES[folder]
+    lines = [_row(["engine", "device", *(f"{time:g} s" for time in times)]), "| " + "--- | " * (2 + len(times))]
+    for run in others:
+        if run.cause == "refused":
+            lines.append(
+                _row([NAMES[run.configuration.simulator], "", f"refused: {run.reason}", *[""] * (len(times) - 1)])
+            )
+            continue
+        largest, bodies = off(run, reference)
+        asked = run.configuration
+        rows = [round(time / asked.dt / asked.stride) for time in times]
+        assert np.allclose(np.array(rows) * asked.dt * asked.stride, times)
+        cells = [length(largest[row]) if bodies else f"{largest[row]:.2g}" for row in rows]
+        lines.append(_row([NAMES[asked.simulator], device(run), *cells]))
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def drawn(folder: str) -> str:
+    """The document of a folder with its table as the recordings give it."""
+    head, rest = page(folder).read_text(encoding="utf-8").split(BEGIN)
+    return f"{head}{BEGIN}\n{table(folder)}\n{END}{rest.split(END)[1]}"
+
+
+def main() -> None:
+    """Write the tables into the documents."""
+    for folder in TIMES:
+        page(folder).write_text(drawn(folder), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
