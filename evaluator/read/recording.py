@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.fingerprint import expect, fingerprint
 from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.mcap.declarations import Channel
 from gpusimbench.schemas.mcap.reader import Container
@@ -56,8 +57,8 @@ from gpusimbench.schemas.view.geometry import GEOMETRY, Look, look_of
 
 _DIGEST_SHARE = 0.5  # of the time that a file takes to be read and verified
 _HASHING = 4  # threads that compute digests of different fields
-_VERIFY_BYTES = 64 << 20
-_VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
+_VERIFY_BYTES = 256 << 20  # read at a time, at most; a block of all states has 128 MiB
+_GROUPED_BYTES = 4 << 20  # smaller blocks are read together
 
 
 class Recording:
@@ -288,18 +289,25 @@ class Recording:
         stated = {(p.group, p.field) for p in map(topics.parse_state, self._container.channels) if p}
         arrays = [self.state(f.group, f.field) for f in self.fields if (f.group, f.field) in stated]
         hashes = self.fingerprints("capture") if len(arrays) == len(self.fields) else None
+        if hashes is not None:
+            expect(sum(math.prod(array.shape) * array.dtype.itemsize for array in arrays))
+        ranges = _env_ranges(arrays)
+        fed: list[Future[None]] = []
         with ThreadPoolExecutor(min(_HASHING, os.cpu_count() or 1)) as pool:
             for rows in _row_ranges(arrays):
-                blocks = [array.read(rows, slice(None), copy=False) for array in arrays]
+                columns = list(pool.map(_columns, arrays, repeat(rows), repeat(ranges)))
+                for done in fed:  # digests of the rows before, in whose order these follow
+                    done.result()
                 fed = [
-                    pool.submit(digest.state, array.field, self.configuration.n_env, block)
-                    for array, block in zip(arrays, blocks, strict=True)
+                    pool.submit(digest.state_columns, array.field, self.configuration.n_env, parts)
+                    for array, parts in zip(arrays, columns, strict=True)
                 ]
                 if hashes is not None:
-                    self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
-                for done in fed:
-                    done.result()
-                moved(_DIGEST_SHARE * sum(block.nbytes for block in blocks))
+                    found = [fingerprint(states) for states in zip(*columns, strict=True)]
+                    self._check_hashes(hashes, arrays[0].steps[rows], np.concatenate(found, axis=1))
+                moved(_DIGEST_SHARE * sum(part.nbytes for parts in columns for part in parts))
+            for done in fed:
+                done.result()
         for topic in self._container.channels:
             if topics.has_digest(topic):
                 for content in self._container.in_sequence(topic):
@@ -356,16 +364,34 @@ def _cause(number: int) -> str:
     return "" if name == "UNSPECIFIED" else name.replace("_", " ").lower()
 
 
+def _env_ranges(arrays: Sequence[StateArray]) -> tuple[slice, ...]:
+    """Ranges of environments that are blocks of their own in the file, and so are read without a copy."""
+    ranges = [array.env_ranges for array in arrays]
+    return ranges[0] if ranges and all(other == ranges[0] for other in ranges) else (slice(None),)
+
+
+def _columns(array: StateArray, rows: slice, ranges: Sequence[slice]) -> list[NDArray[Any]]:
+    return [array.read(rows, envs, copy=False) for envs in ranges]
+
+
 def _row_ranges(arrays: Sequence[StateArray]) -> Iterator[slice]:
-    """Ranges of rows that fit into memory together; DamagedRecording where the fields have different ones."""
+    """Ranges of rows that fit into memory together, blocks of the file where they are large, so that these are read
+    once and not copied; DamagedRecording where the fields have different rows."""
     if not arrays:
         return
     if len({len(array) for array in arrays}) > 1:
         raise DamagedRecording("the state fields have different numbers of rows")
-    row = sum(math.prod(array.shape[1:]) * array.dtype.itemsize for array in arrays)
-    count = max(1, min(_VERIFY_ROWS, _VERIFY_BYTES // max(row, 1)))
-    first = 1 if arrays[0].steps.size and arrays[0].steps[0] == 0 else 0  # the initial state is a block of its own
-    if first:
-        yield slice(0, 1)
-    for begin in range(first, len(arrays[0]), count):
-        yield slice(begin, begin + count)
+    row = max(1, sum(math.prod(array.shape[1:]) * array.dtype.itemsize for array in arrays))
+    begin = end = 0
+    for size in arrays[0].block_rows:
+        if end > begin and (end - begin + size) * row > _GROUPED_BYTES:
+            yield from _split(begin, end, row)
+            begin = end
+        end += size
+    yield from _split(begin, min(end, len(arrays[0])), row)
+
+
+def _split(begin: int, end: int, row: int) -> Iterator[slice]:
+    count = max(1, _VERIFY_BYTES // row)
+    for first in range(begin, end, count):
+        yield slice(first, min(first + count, end))
