@@ -1,4 +1,4 @@
-"""State hashes as machine code of one pass, ten times as fast as numpy's passes; importing this module imports numba."""
+"""State hashes as machine code, one pass, ten times as fast as numpy's passes; importing this module imports numba."""
 
 from __future__ import annotations
 
