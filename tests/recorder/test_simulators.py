@@ -105,13 +105,14 @@ VARIANTS = (
     Variant("genesis"),
     Variant("physx", skipped={**_NO_COUNTS, **_NO_BUFFERS, **_PARTIAL_STATE}, ahead=True),
     Variant("physx", ("spacing=1000",), skipped={**_NO_COUNTS, **_NO_BUFFERS, **_PARTIAL_STATE}, ahead=True),
-    Variant("isaaclab", ("backend=ovphysx",), skipped={**_NO_COUNTS, **_NO_BUFFERS, **_PARTIAL_STATE}),
+    Variant("isaaclab", ("backend=ovphysx",), skipped={**_NO_COUNTS, **_NO_BUFFERS, **_PARTIAL_STATE}, ahead=True),
     Variant(
         "isaaclab",
         ("backend=ovphysx", "spacing=1000"),
         skipped={**_NO_COUNTS, **_NO_BUFFERS, **_PARTIAL_STATE},
+        ahead=True,
     ),
-    Variant("isaaclab", ("backend=newton",)),
+    Variant("isaaclab", ("backend=newton",), ahead=True),
     Variant("sapien", skipped={**_NO_BITS, **_NO_BUFFERS, **_PARTIAL_STATE}),
     Variant(
         "calibration",
