@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property
-from itertools import repeat
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.read.actions import action_names, apart_by_design, read_actions
+from gpusimbench.evaluator.read.digests import digest_states
 from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
 from gpusimbench.evaluator.read.hardware import HardwareTrace, read_hardware
 from gpusimbench.evaluator.read.messages import MAX_END_BYTES, Messages
@@ -44,21 +40,16 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.fingerprint import expect, fingerprint
 from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.mcap.declarations import Channel
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import enum_values
-from gpusimbench.schemas.progress import moved
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 from gpusimbench.schemas.source import Source
 from gpusimbench.schemas.treatment import VARIED
 from gpusimbench.schemas.view.geometry import GEOMETRY, Look, look_of
 
-_DIGEST_SHARE = 0.5  # of the time that a file takes to be read and verified
-_HASHING = 4  # threads that compute digests of different fields
-_VERIFY_BYTES = 256 << 20  # read at a time, at most; a block of all states has 128 MiB
-_GROUPED_BYTES = 4 << 20  # smaller blocks are read together
+_KEPT_BYTES = 16 << 20  # of the state hashes of a phase, which are read several times
 
 
 class Recording:
@@ -79,6 +70,8 @@ class Recording:
         self._container = Container(self.path, source)
         self._messages = Messages(self._container)
         self._json = checks.Budget()
+        self._arrays: dict[tuple[str, str], StateArray] = {}
+        self._hashes: dict[str, Fingerprints | None] = {}
         text = self._container.attachment(PROVENANCE)
         if text is None:
             raise DamagedRecording(
@@ -117,6 +110,8 @@ class Recording:
 
     def state(self, group: str, field: str) -> StateArray:
         """A state field, shape [step, env, item, width], read when indexed; KeyError names the recorded ones."""
+        if (group, field) in self._arrays:
+            return self._arrays[group, field]
         for described in self.fields:
             if (described.group, described.field) == (group, field):
                 array = StateArray(self._container, self.configuration, described)
@@ -125,6 +120,7 @@ class Recording:
                         f"{self.path}: states of {described.name} end at step {array.steps[-1]}, the end record says "
                         f"{self._end.last_step}"
                     )
+                self._arrays[group, field] = array
                 return array
         known = ", ".join(f.name for f in self.fields) or "none"
         raise KeyError(f"{self.path} has no state {group}/{field}; it has: {known}")
@@ -182,8 +178,13 @@ class Recording:
 
     def fingerprints(self, phase: str) -> Fingerprints | None:
         """State hashes of a phase ("capture", "timed"); None where it has none."""
+        if phase in self._hashes:
+            return self._hashes[phase]
         cut_short = self.status == "incomplete"
-        return read_fingerprints(self._messages, phase, n_env=self.configuration.n_env, cut_short=cut_short)
+        found = read_fingerprints(self._messages, phase, n_env=self.configuration.n_env, cut_short=cut_short)
+        if found is None or found.hashes.nbytes <= _KEPT_BYTES:
+            self._hashes[phase] = found
+        return found
 
     @cached_property
     def program(self) -> dict[str, Updates]:
@@ -289,25 +290,9 @@ class Recording:
         stated = {(p.group, p.field) for p in map(topics.parse_state, self._container.channels) if p}
         arrays = [self.state(f.group, f.field) for f in self.fields if (f.group, f.field) in stated]
         hashes = self.fingerprints("capture") if len(arrays) == len(self.fields) else None
-        if hashes is not None:
-            expect(sum(math.prod(array.shape) * array.dtype.itemsize for array in arrays))
-        ranges = _env_ranges(arrays)
-        fed: list[Future[None]] = []
-        with ThreadPoolExecutor(min(_HASHING, os.cpu_count() or 1)) as pool:
-            for rows in _row_ranges(arrays):
-                columns = list(pool.map(_columns, arrays, repeat(rows), repeat(ranges)))
-                for done in fed:  # digests of the rows before, in whose order these follow
-                    done.result()
-                fed = [
-                    pool.submit(digest.state_columns, array.field, self.configuration.n_env, parts)
-                    for array, parts in zip(arrays, columns, strict=True)
-                ]
-                if hashes is not None:
-                    found = [fingerprint(states) for states in zip(*columns, strict=True)]
-                    self._check_hashes(hashes, arrays[0].steps[rows], np.concatenate(found, axis=1))
-                moved(_DIGEST_SHARE * sum(part.nbytes for parts in columns for part in parts))
-            for done in fed:
-                done.result()
+        for steps, computed in digest_states(digest, arrays, self.configuration.n_env, hashed=hashes is not None):
+            if hashes is not None:
+                self._check_hashes(hashes, steps, computed)
         for topic in self._container.channels:
             if topics.has_digest(topic):
                 for content in self._container.in_sequence(topic):
@@ -362,36 +347,3 @@ def _cause(number: int) -> str:
     names = {value: name for name, value in enum_values("gsb.v1.Cause").items()}
     name = names.get(number, f"CAUSE_{number}").removeprefix("CAUSE_")  # a number of a later version is shown as it is
     return "" if name == "UNSPECIFIED" else name.replace("_", " ").lower()
-
-
-def _env_ranges(arrays: Sequence[StateArray]) -> tuple[slice, ...]:
-    """Ranges of environments that are blocks of their own in the file, and so are read without a copy."""
-    ranges = [array.env_ranges for array in arrays]
-    return ranges[0] if ranges and all(other == ranges[0] for other in ranges) else (slice(None),)
-
-
-def _columns(array: StateArray, rows: slice, ranges: Sequence[slice]) -> list[NDArray[Any]]:
-    return [array.read(rows, envs, copy=False) for envs in ranges]
-
-
-def _row_ranges(arrays: Sequence[StateArray]) -> Iterator[slice]:
-    """Ranges of rows that fit into memory together, blocks of the file where they are large, so that these are read
-    once and not copied; DamagedRecording where the fields have different rows."""
-    if not arrays:
-        return
-    if len({len(array) for array in arrays}) > 1:
-        raise DamagedRecording("the state fields have different numbers of rows")
-    row = max(1, sum(math.prod(array.shape[1:]) * array.dtype.itemsize for array in arrays))
-    begin = end = 0
-    for size in arrays[0].block_rows:
-        if end > begin and (end - begin + size) * row > _GROUPED_BYTES:
-            yield from _split(begin, end, row)
-            begin = end
-        end += size
-    yield from _split(begin, min(end, len(arrays[0])), row)
-
-
-def _split(begin: int, end: int, row: int) -> Iterator[slice]:
-    count = max(1, _VERIFY_BYTES // row)
-    for first in range(begin, end, count):
-        yield slice(first, min(first + count, end))

@@ -94,12 +94,16 @@ class Walk:
         return float(max((np.abs(origins[a : b + 1]).max(initial=0.0) for a, b in self._envs), default=0.0))
 
     def chunks(self, first: int = 0, stop: int | None = None) -> Iterator[States]:
-        """Rows from `first` to `stop`, a block of the file at a time, or less where that is many megabytes."""
+        """Rows from `first` to `stop`, a block of the file at a time, or less where that is many megabytes; the initial
+        state, a block of its own, is with the first of the others."""
         end = len(self) if stop is None else min(stop, len(self))
         n_env = sum(last - begin + 1 for begin, last in self._envs)
         rows = max(1, min(_CHUNK_ROWS, _CHUNK_BYTES // (n_env * max(1, len(self.items)) * 3 * 8)))
-        for begin in range(first, end, rows):
-            yield self.rows(begin, min(begin + rows, end))
+        begin = first
+        while begin < end:
+            after = min(end, 1 + rows * (1 + max(0, begin - 1) // rows))
+            yield self.rows(begin, after)
+            begin = after
 
     def rows(self, first: int, stop: int) -> States:
         """Some rows at once; the caller bounds them."""
@@ -119,14 +123,18 @@ class Walk:
         if any(array is None for array in arrays):
             return None
         parts = [
-            np.concatenate([self._of(array, first, stop, begin, last) for begin, last in self._envs], axis=1)
+            _joined([self._of(array, first, stop, begin, last) for begin, last in self._envs], axis=1)
             for array in arrays
             if array is not None
         ]
-        return np.concatenate(parts, axis=2)
+        return _joined(parts, axis=2)
 
     def _of(self, array: StateArray, first: int, stop: int, begin: int, last: int) -> Array:
         read = array.read(slice(first, stop), slice(begin, last + 1))
         if array.field.field != "position":
-            return read.astype(np.float64)
+            return read.astype(np.float64, copy=False)
         return in_env_frame(self._recording, array.field, read, slice(begin, last + 1))
+
+
+def _joined(parts: list[Array], axis: int) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
