@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
+from gpusimbench.evaluator.read.streams import Fingerprints
 from gpusimbench.evaluator.runs.positions import in_env_frame
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
 
 MOST_ENVS = 64
 """Of which more are looked at in no run."""
@@ -34,6 +37,8 @@ class States:
     orientation  quaternions wxyz, shape [row, env, body, 4]; None where one group has none
     linear       velocity [m/s], shape [row, env, body, 3], or None
     angular      velocity [rad/s], shape [row, env, body, 3], or None
+    distinct     environments no two of which are known to have the same states in these rows
+    which        for each environment, the one of `distinct` that has its states: an index into that
     """
 
     step: Array
@@ -41,6 +46,8 @@ class States:
     orientation: Array | None
     linear: Array | None
     angular: Array | None
+    distinct: Index
+    which: Index
 
 
 def drawn_envs(n_env: int) -> tuple[tuple[int, int], ...]:
@@ -116,7 +123,25 @@ class Walk:
             self._read("orientation", first, stop),
             self._read("linear_velocity", first, stop),
             self._read("angular_velocity", first, stop),
+            *self._distinct(steps, position.shape[1]),
         )
+
+    def _distinct(self, steps: Array, n_env: int) -> tuple[Index, Index]:
+        # by the state hashes, which are held against the states when a file is verified
+        if self._hashes is not None:
+            at = np.searchsorted(self._hashes.steps, steps)
+            if np.array_equal(self._hashes.steps[at[at < len(self._hashes.steps)]], steps):
+                _, first, which = np.unique(self._hashes.hashes[at], axis=1, return_index=True, return_inverse=True)
+                return first, which.reshape(-1)
+        return np.arange(n_env), np.arange(n_env)
+
+    @cached_property
+    def _hashes(self) -> Fingerprints | None:
+        # where all environments are read, and lie at one place
+        n_env, simulation = self._recording.configuration.n_env, self._recording.simulation
+        if self._envs != ((0, n_env - 1),) or simulation is None or len(set(simulation.env_origins)) > 1:
+            return None
+        return self._recording.fingerprints("capture")
 
     def _read(self, field: str, first: int, stop: int) -> Array | None:
         arrays = [self._fields.get((group, field)) for group in self.groups]
