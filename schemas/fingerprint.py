@@ -14,8 +14,10 @@ digests of the end record are for.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +32,26 @@ _WORDS = 1 << 16  # at a time: few enough for a core's cache, many enough for se
 _FEW_WORDS = 24
 _MASK = (1 << 64) - 1
 
+COMPILED_BYTES = 400_000_000
+"""Of states, from which on compiled hashes pay: numpy takes about as long for them as numba takes to be loaded."""
+
 _of_thread = threading.local()
+_expecting = threading.Lock()
+_expected = 0
+_compiled: Callable[[NDArray[Any], int, NDArray[np.uint64]], None] | None = None
+
+
+def expect(size: int) -> None:
+    """States of `size` bytes are going to be hashed by this process: once they are COMPILED_BYTES in all, the hashes
+    are compiled to machine code, where numba is installed. They are the same."""
+    global _expected, _compiled
+    with _expecting:
+        before, _expected = _expected, _expected + size
+        if before < COMPILED_BYTES <= _expected:
+            with suppress(ImportError):  # Pythons of engines have no numba
+                from gpusimbench.schemas.fingerprint_compiled import add_hashes
+
+                _compiled = add_hashes
 
 
 def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:
@@ -47,6 +68,10 @@ def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:
             raise ValueError(f"leading shapes differ: {array.shape[:-2]} and {lead}")
         count = array.shape[-2] * array.shape[-1]
         words = np.ascontiguousarray(array).view(_WORD[array.dtype.itemsize]).reshape(len(flat), count)
+        if _compiled is not None:
+            _compiled(words, position, flat)
+            position += count
+            continue
         rows = max(1, _WORDS // max(1, count))
         keys = _keys(position, count, rows)
         mixed, spare = _scratch(rows, count)

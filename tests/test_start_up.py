@@ -59,10 +59,10 @@ def test_help_imports_nothing_heavy(module: str) -> None:
     ],
 )
 def test_evaluation_needs_no_simulator(module: str) -> None:
-    """Evaluate without importing any simulator, JAX, torch, or the recorder."""
+    """Import no simulator, JAX, torch, or recorder, and SciPy and numba when something is computed by them alone."""
     code = (
         f"import sys, {module}\n"
-        "others = ('mujoco', 'jax', 'torch', 'warp', 'pynvml', 'psutil', 'gpusimbench.recorder')\n"
+        "others = ('mujoco', 'jax', 'torch', 'warp', 'pynvml', 'psutil', 'gpusimbench.recorder', 'scipy', 'numba')\n"
         "print([m for m in others if m in sys.modules])"
     )
     done = run_python(code)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.read.actions import action_names, apart_by_design, read_actions
+from gpusimbench.evaluator.read.digests import digest_states
 from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
 from gpusimbench.evaluator.read.hardware import HardwareTrace, read_hardware
 from gpusimbench.evaluator.read.messages import MAX_END_BYTES, Messages
@@ -43,21 +40,16 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.mcap.declarations import Channel
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import enum_values
-from gpusimbench.schemas.progress import moved
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 from gpusimbench.schemas.source import Source
 from gpusimbench.schemas.treatment import VARIED
 from gpusimbench.schemas.view.geometry import GEOMETRY, Look, look_of
 
-_DIGEST_SHARE = 0.5  # of the time that a file takes to be read and verified
-_HASHING = 4  # threads that compute digests of different fields
-_VERIFY_BYTES = 64 << 20
-_VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
+_KEPT_BYTES = 16 << 20  # of the state hashes of a phase, which are read several times
 
 
 class Recording:
@@ -78,6 +70,8 @@ class Recording:
         self._container = Container(self.path, source)
         self._messages = Messages(self._container)
         self._json = checks.Budget()
+        self._arrays: dict[tuple[str, str], StateArray] = {}
+        self._hashes: dict[str, Fingerprints | None] = {}
         text = self._container.attachment(PROVENANCE)
         if text is None:
             raise DamagedRecording(
@@ -116,6 +110,8 @@ class Recording:
 
     def state(self, group: str, field: str) -> StateArray:
         """A state field, shape [step, env, item, width], read when indexed; KeyError names the recorded ones."""
+        if (group, field) in self._arrays:
+            return self._arrays[group, field]
         for described in self.fields:
             if (described.group, described.field) == (group, field):
                 array = StateArray(self._container, self.configuration, described)
@@ -124,6 +120,7 @@ class Recording:
                         f"{self.path}: states of {described.name} end at step {array.steps[-1]}, the end record says "
                         f"{self._end.last_step}"
                     )
+                self._arrays[group, field] = array
                 return array
         known = ", ".join(f.name for f in self.fields) or "none"
         raise KeyError(f"{self.path} has no state {group}/{field}; it has: {known}")
@@ -181,8 +178,13 @@ class Recording:
 
     def fingerprints(self, phase: str) -> Fingerprints | None:
         """State hashes of a phase ("capture", "timed"); None where it has none."""
+        if phase in self._hashes:
+            return self._hashes[phase]
         cut_short = self.status == "incomplete"
-        return read_fingerprints(self._messages, phase, n_env=self.configuration.n_env, cut_short=cut_short)
+        found = read_fingerprints(self._messages, phase, n_env=self.configuration.n_env, cut_short=cut_short)
+        if found is None or found.hashes.nbytes <= _KEPT_BYTES:
+            self._hashes[phase] = found
+        return found
 
     @cached_property
     def program(self) -> dict[str, Updates]:
@@ -288,18 +290,9 @@ class Recording:
         stated = {(p.group, p.field) for p in map(topics.parse_state, self._container.channels) if p}
         arrays = [self.state(f.group, f.field) for f in self.fields if (f.group, f.field) in stated]
         hashes = self.fingerprints("capture") if len(arrays) == len(self.fields) else None
-        with ThreadPoolExecutor(min(_HASHING, os.cpu_count() or 1)) as pool:
-            for rows in _row_ranges(arrays):
-                blocks = [array.read(rows, slice(None), copy=False) for array in arrays]
-                fed = [
-                    pool.submit(digest.state, array.field, self.configuration.n_env, block)
-                    for array, block in zip(arrays, blocks, strict=True)
-                ]
-                if hashes is not None:
-                    self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
-                for done in fed:
-                    done.result()
-                moved(_DIGEST_SHARE * sum(block.nbytes for block in blocks))
+        for steps, computed in digest_states(digest, arrays, self.configuration.n_env, hashed=hashes is not None):
+            if hashes is not None:
+                self._check_hashes(hashes, steps, computed)
         for topic in self._container.channels:
             if topics.has_digest(topic):
                 for content in self._container.in_sequence(topic):
@@ -354,18 +347,3 @@ def _cause(number: int) -> str:
     names = {value: name for name, value in enum_values("gsb.v1.Cause").items()}
     name = names.get(number, f"CAUSE_{number}").removeprefix("CAUSE_")  # a number of a later version is shown as it is
     return "" if name == "UNSPECIFIED" else name.replace("_", " ").lower()
-
-
-def _row_ranges(arrays: Sequence[StateArray]) -> Iterator[slice]:
-    """Ranges of rows that fit into memory together; DamagedRecording where the fields have different ones."""
-    if not arrays:
-        return
-    if len({len(array) for array in arrays}) > 1:
-        raise DamagedRecording("the state fields have different numbers of rows")
-    row = sum(math.prod(array.shape[1:]) * array.dtype.itemsize for array in arrays)
-    count = max(1, min(_VERIFY_ROWS, _VERIFY_BYTES // max(row, 1)))
-    first = 1 if arrays[0].steps.size and arrays[0].steps[0] == 0 else 0  # the initial state is a block of its own
-    if first:
-        yield slice(0, 1)
-    for begin in range(first, len(arrays[0]), count):
-        yield slice(begin, begin + count)

@@ -92,6 +92,16 @@ class StateArray:
         # Measured trials have no state at step 0; everything else begins there.
         return self._columns[0].blocks[0].first_row if self._columns else 0
 
+    @property
+    def env_ranges(self) -> tuple[slice, ...]:
+        """Of the blocks, in order: all environments."""
+        return tuple(slice(column.env_start, end) for column, end in self._env_ranges())
+
+    @property
+    def block_rows(self) -> tuple[int, ...]:
+        """Rows of each block of the first environments, in order."""
+        return tuple(block.rows for block in self._columns[0].blocks) if self._columns else ()
+
     def __len__(self) -> int:
         return self.shape[0]
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri, stdtrit
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues, PhysicsFacts
@@ -154,6 +153,8 @@ def _uniform(label: str, scene: str, found: LawCounts) -> Law | Unmeasured:
 
 
 def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
+    from scipy.special import stdtrit
+
     first = runs[0]
     alike = [run for run in runs if len(run.measured) == len(first.measured)]
     measured = np.mean([run.measured for run in alike], axis=0)
@@ -204,6 +205,8 @@ def _size(move: float | None, slope: float, parameter: str) -> float | None:
 def _most_error(values: Array) -> float:
     """The upper 95 % limit of the standard error, of normal values: a claim that takes the estimate for the truth is
     too small half of the time."""
+    from scipy.special import chdtri
+
     error, degrees = standard_error(values), len(values) - 1
     return 0.0 if error is None else error * math.sqrt(degrees / float(chdtri(degrees, POWER)))
 
@@ -219,6 +222,8 @@ def showing_move(off: Array, uneven: float) -> float | None:
     q = (t.975 + t.95) sqrt(pi / 3) with 2n - 2 degrees of freedom, the root for ranks instead of values. s is
     its own upper 95 % limit; k is `uneven`, and _UNEVEN at least. None where no d is large enough.
     """
+    from scipy.special import stdtrit
+
     if len(off) < 2:
         return None
     degrees = 2 * len(off) - 2
@@ -235,6 +240,8 @@ def breaking_move(off: Array, uneven: float, tolerance: float) -> float | None:
     d >= tolerance + |m| + q (s + k d / sqrt(n)), with the mean m, q = t.975 + t.95 with n - 1 degrees of freedom, and s
     and k as of showing_move. None where no d is large enough.
     """
+    from scipy.special import stdtrit
+
     n, mean = len(off), abs(float(off.mean()))
     if n < 2:
         return tolerance + mean

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from gpusimbench.evaluator.metrics.tosses import (
     Cube,
@@ -203,6 +202,8 @@ def _simulated(
 
 def _matched(begins: Motion, measured: MeasuredTosses) -> tuple[NDArray[np.int64], NDArray[np.int64]] | Missing:
     """Which tosses are repeated, ascending, and the first environment that begins as each."""
+    from scipy.spatial import KDTree
+
     first = np.concatenate([begins.position[0], _upper(begins.orientation[0])], axis=1)
     known = np.concatenate([measured.motion.position[0], _upper(measured.motion.orientation[0])], axis=1)
     if not np.isfinite(first).all():

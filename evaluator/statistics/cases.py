@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 DRAWS = 2000
 """Resampled sets of cases behind an interval."""
@@ -83,6 +82,8 @@ def least_shown(error: float, power: float) -> float:
 
     For normal means: (z_0.975 + z_power) times the standard error of the difference, in its unit.
     """
+    from scipy import stats
+
     return float(stats.norm.ppf(0.975) + stats.norm.ppf(power)) * error
 
 
@@ -94,6 +95,8 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
 
     ValueError where there are no cases, not as many of both, or values that are not finite.
     """
+    from scipy import stats
+
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     if first.shape != second.shape or first.ndim != 1 or not first.size:
         raise ValueError(f"values of the same cases have one shape [case], not {first.shape} and {second.shape}")

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize_scalar
 
 from gpusimbench.evaluator.missing import Missing
 
@@ -128,6 +127,8 @@ def _rms(errors: Array) -> Array:
 
 
 def _fitted(h: Array, error: Array, finest: float) -> float:
+    from scipy.optimize import minimize_scalar
+
     wanted = np.log(error)
     if finest == 0.0:
         return float(np.polyfit(np.log(h), wanted, 1)[0])

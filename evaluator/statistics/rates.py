@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from gpusimbench.evaluator.statistics.cases import mean_interval
 
@@ -13,6 +12,8 @@ _ROUNDING = 1e-9  # sums of the same numbers in another order
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
     """95 % interval of a probability, from independent trials (Wilson 1927)."""
+    from scipy import stats
+
     found = stats.binomtest(successes, trials).proportion_ci(confidence_level=0.95, method="wilson")
     return float(found.low), float(found.high)
 
@@ -31,6 +32,8 @@ def rate_interval(flags: npt.NDArray[np.bool_], *, seed: int = 0) -> tuple[float
 def mcnemar(only_first: int, only_second: int) -> float:
     """Two-sided p-value that two rates on the same cases are one, from the cases in which they differ (McNemar 1947),
     by the exact binomial test; 1 where there are none."""
+    from scipy import stats
+
     differing = only_first + only_second
     return float(stats.binomtest(only_first, differing, 0.5).pvalue) if differing else 1.0
 
@@ -50,4 +53,6 @@ def rows_differ(values: npt.NDArray[np.float64], *, permutations: int = 999, see
 
 def interquartile_mean(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Mean along the last axis without the lowest and the highest quarter (IQM of rliable, Agarwal et al. 2021)."""
+    from scipy import stats
+
     return np.asarray(stats.trim_mean(values, 0.25, axis=-1), dtype=np.float64)

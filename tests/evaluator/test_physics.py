@@ -14,7 +14,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts, Revision
 from gpusimbench.evaluator.runs.physics.measure import physics_of
-from gpusimbench.evaluator.runs.physics.states import MOST_ENVS, drawn_envs
+from gpusimbench.evaluator.runs.physics.states import MOST_ENVS, Walk, drawn_envs
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import DamagedRecording
@@ -441,3 +441,20 @@ def test_a_run_without_states_says_so() -> None:
     """Give the reason where the capture phase was left out."""
     facts = facts_of(RECORDINGS / "h200" / "warp-franka-n8-r0.mcap")
     assert "no states were recorded" in facts.facts.reason
+
+
+def test_equal_environments_are_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Find the same, to the last bit, as by looking at every environment, where some are equal and others are not."""
+    motion = rolling(make_scene("inclined-collision"), dt=0.01, rows=46, n_env=5)
+    motion["position"][20:, [1, 3], 0, 2] -= 0.05  # into the slope
+    path = write_motion(tmp_path, "inclined-collision", motion)
+    walk = Walk(Recording(path), ((0, 4),))
+    assert walk.rows(0, 20).distinct.tolist() == [0]
+    late = walk.rows(20, 46)
+    assert sorted(late.distinct.tolist()) == [0, 1]
+    assert late.distinct[late.which].tolist() == [0, 1, 0, 1, 0]
+    found = facts_of(path)
+    monkeypatch.setattr(Walk, "_hashes", None)
+    assert Walk(Recording(path), ((0, 4),)).rows(20, 46).distinct.tolist() == [0, 1, 2, 3, 4]
+    assert found == facts_of(path)
+    assert Check.DEPTH_EVER in broken(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas import fingerprint as module
+from gpusimbench.schemas.fingerprint import COMPILED_BYTES, expect, fingerprint
 
 _MASK = 2**64 - 1
 
@@ -74,3 +76,36 @@ def test_different_leading_shapes_are_refused() -> None:
     """Raise where fields disagree on steps or environments."""
     with pytest.raises(ValueError, match="leading shapes"):
         fingerprint([np.zeros((2, 1, 1)), np.zeros((3, 1, 1))])
+
+
+@pytest.fixture
+def nothing_expected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that was not told of any states yet."""
+    monkeypatch.setattr(module, "_expected", 0)
+    monkeypatch.setattr(module, "_compiled", None)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.usefixtures("nothing_expected")
+def test_compiled_hashes_are_the_same(dtype: Any) -> None:
+    """Compile the hashes once many states are expected, and give the same bits, also of arrays that are views."""
+    rng = np.random.default_rng(2)
+    fields = [rng.standard_normal((3, 40, 28, width + 1)).astype(dtype)[..., 1:] for width in (3, 4)]
+    expect(COMPILED_BYTES // 2)
+    assert module._compiled is None
+    before = fingerprint(fields)
+    expect(COMPILED_BYTES - COMPILED_BYTES // 2)
+    assert module._compiled is not None
+    assert np.array_equal(fingerprint(fields), before)
+    words = fields[0][1, 7].reshape(-1).view({4: np.uint32, 8: np.uint64}[np.dtype(dtype).itemsize])
+    assert int(fingerprint([fields[0][1, 7]])) == _reference(words.tolist())
+
+
+@pytest.mark.usefixtures("nothing_expected")
+def test_hashes_without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Go on with numpy where numba is not installed, as in the Pythons of some engines."""
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.delitem(sys.modules, "gpusimbench.schemas.fingerprint_compiled", raising=False)
+    expect(COMPILED_BYTES)
+    assert module._compiled is None
+    assert fingerprint([np.ones((1, 1), dtype=np.float32)]).shape == ()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ellipkm1
 
 Array = npt.NDArray[np.float64]
 
@@ -18,6 +17,8 @@ def pendulum_period(amplitude: Array, small: float) -> Array:
     T = T0 2/pi K(sin(a/2)), with the complete elliptic integral of the first kind (Landau and Lifshitz, Mechanics,
     section 11, problem 1).
     """
+    from scipy.special import ellipkm1
+
     return np.asarray(small * 2.0 / np.pi * ellipkm1(np.cos(np.asarray(amplitude) / 2.0) ** 2))
 
 
@@ -46,6 +47,8 @@ def rotation_period(moments: Array, spin: Array) -> Array:
     else the same with I1 and I3 exchanged (Landau and Lifshitz, Mechanics, section 37; Goldstein, Classical Mechanics,
     section 5.6). The component about the middle axis, an elliptic sine, passes zero twice in a period.
     """
+    from scipy.special import ellipkm1
+
     i1, i2, i3 = moments
     twice_energy, squared = (spin**2 @ moments), (spin**2 @ moments**2)
     inner, outer = (i3 - i2) * (squared - twice_energy * i1), (i2 - i1) * (twice_energy * i3 - squared)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import eigh
 
 Array = npt.NDArray[np.float64]
 
@@ -59,6 +58,8 @@ class DoublePendulum:
 
         The roots of det(K - w^2 M) = 0 (Landau and Lifshitz, Mechanics, section 23).
         """
+        from scipy.linalg import eigh
+
         inertia = np.array(
             [
                 [self.inertia[0] + self.mass[1] * self.apart**2, self.coupling],

@@ -12,6 +12,7 @@ from gpusimbench.evaluator.metrics.physics.vectors import largest, length, squar
 
 Array = npt.NDArray[np.float64]
 
+_PAIRS = 1 << 15  # of bodies at a time: as many as a core's cache holds
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 
 
@@ -141,11 +142,22 @@ def nearest(centre: Array) -> tuple[Array, Array]:
 
     centre  [m], shape [n, body, 3]
     """
+    closest = np.empty(centre.shape[:2])
+    size = max(1, _PAIRS // max(1, centre.shape[1] ** 2))
+    for begin in range(0, len(centre), size):
+        closest[begin : begin + size] = _nearest(centre[begin : begin + size])
+    return closest, closest.min(axis=-1, initial=np.inf)
+
+
+def _nearest(centre: Array) -> Array:
     # about their mean: the square of a difference of large numbers would lose what matters
     from_mean = centre - centre.mean(axis=1, keepdims=True)
     about = square(from_mean)
-    between = about[:, :, None] + about[:, None, :] - 2.0 * (from_mean @ from_mean.transpose(0, 2, 1))
+    between = about[:, :, None] + about[:, None, :]
+    products = from_mean @ from_mean.transpose(0, 2, 1)
+    products *= 2.0
+    between -= products
     index = np.arange(centre.shape[1])
     between[:, index, index] = np.inf
-    closest = np.sqrt(np.maximum(between.min(axis=-1, initial=np.inf), 0.0))
-    return closest, closest.min(axis=-1, initial=np.inf)
+    # distances have no direction; along this axis numpy takes many minima at a time
+    return np.asarray(np.sqrt(np.maximum(between.min(axis=1, initial=np.inf), 0.0)))

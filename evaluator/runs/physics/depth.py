@@ -48,9 +48,10 @@ class Depths:
         if states.orientation is None:
             return
         self._resolution = max(self._resolution, self._setting.resolution(states.position))
-        turn = rotations(states.orientation[:, :, self._cubes])
-        fixed = self._in_fixed(states, turn).max(axis=(0, 2))
-        pair = self._in_each_other(states, turn)
+        distinct, which = states.distinct, states.which  # what is the same is looked at once
+        turn = rotations(states.orientation[:, distinct][:, :, self._cubes])
+        fixed = self._in_fixed(states.position[:, distinct], turn).max(axis=(0, 2))[which]
+        pair = self._in_each_other(states.position[:, distinct], turn)[which]
         self._fixed = np.maximum(0.0 if first else self._fixed, fixed)
         self._pair = np.maximum(0.0 if first else self._pair, pair)
 
@@ -83,11 +84,11 @@ class Depths:
         still = speed < REST
         if not still.any():
             return dict.fromkeys(checks, Missing(f"nothing moves slower than {REST:g} m/s at the end"))
-        end = States(last.step[-1:], last.position[-1:], last.orientation[-1:], None, None)
+        end = last.position[-1:]
         turn = rotations(last.orientation[-1:, :, self._cubes])
         deep = np.where(still, self._in_fixed(end, turn)[0], 0.0).max(axis=1, initial=0.0)
         note = f"{np.count_nonzero(still)} of {still.size} bodies are at rest"
-        rounding = self._setting.resolution(end.position[0][still])
+        rounding = self._setting.resolution(end[0][still])
         slack = self._setting.slack(self._setting.fall, rounding, "g dt^2, and rounding")
         if isinstance(slack, Missing):
             return dict.fromkeys(checks, slack)
@@ -98,16 +99,16 @@ class Depths:
             Check.PAIR_REST: measured(pairs, low=None, high=0.0, tolerance=size, of=slack.of),
         }
 
-    def _in_fixed(self, states: States, turn: Array) -> Array:
+    def _in_fixed(self, position: Array, turn: Array) -> Array:
         # [row, env, body]
-        deepest = np.full(states.position.shape[:3], -np.inf)
-        rows, envs = states.position.shape[:2]
+        deepest = np.full(position.shape[:3], -np.inf)
+        rows, envs = position.shape[:2]
         for fixed in self._setting.world.fixed:
             for ball in self._balls:
-                depth = sphere_depth(fixed.solid, states.position[:, :, ball], self._setting.world.moving[ball].radius)
+                depth = sphere_depth(fixed.solid, position[:, :, ball], self._setting.world.moving[ball].radius)
                 deepest[:, :, ball] = np.maximum(deepest[:, :, ball], depth)
             if self._cubes:
-                depth = self._cube_depth(fixed.solid, states.position[:, :, self._cubes], turn)
+                depth = self._cube_depth(fixed.solid, position[:, :, self._cubes], turn)
                 index = np.ix_(range(rows), range(envs), self._cubes)
                 deepest[index] = np.maximum(deepest[index], depth)
         return deepest
@@ -117,17 +118,17 @@ class Depths:
         flat = corner_depth(solid, centre.reshape(-1, 3), turn.reshape(-1, 3, 3), half.reshape(-1, 3))
         return flat.reshape(centre.shape[:-1])
 
-    def _in_each_other(self, states: States, turn: Array) -> Array:
+    def _in_each_other(self, position: Array, turn: Array) -> Array:
         # [env]; of cubes by the spheres inside them, so at least that deep
-        rows, envs = states.position.shape[:2]
+        rows, envs = position.shape[:2]
         deepest = np.full((rows, envs), -np.inf)
-        cubes = states.position[:, :, self._cubes]
+        cubes = position[:, :, self._cubes]
         if len(self._cubes) > 1:
             _, closest = nearest(cubes.reshape(rows * envs, -1, 3))
             deepest = 2 * self._half.min() - closest.reshape(rows, envs)
         for ball in self._balls:
             radius = self._setting.world.moving[ball].radius
-            away = states.position[:, :, ball, None] - cubes
+            away = position[:, :, ball, None] - cubes
             close = square(away) < (radius + np.sqrt(3.0) * self._half) ** 2
             if close.any():
                 local = np.einsum("ni,nij->nj", away[close], turn[close])
@@ -137,9 +138,9 @@ class Depths:
                 deepest = np.maximum(deepest, depth.max(axis=-1))
         return np.asarray(deepest.max(axis=0))
 
-    def _pairs_at_rest(self, end: States, turn: Array, still: npt.NDArray[np.bool_]) -> list[float]:
+    def _pairs_at_rest(self, end: Array, turn: Array, still: npt.NDArray[np.bool_]) -> list[float]:
         found = []
-        centre = end.position[0][:, self._cubes]
+        centre = end[0][:, self._cubes]
         for env in range(len(centre)):
             resting = np.nonzero(still[env, self._cubes])[0]
             first, second = (resting[i] for i in np.triu_indices(len(resting), 1))

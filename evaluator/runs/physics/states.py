@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
+from gpusimbench.evaluator.read.streams import Fingerprints
 from gpusimbench.evaluator.runs.positions import in_env_frame
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
 
 MOST_ENVS = 64
 """Of which more are looked at in no run."""
@@ -34,6 +37,8 @@ class States:
     orientation  quaternions wxyz, shape [row, env, body, 4]; None where one group has none
     linear       velocity [m/s], shape [row, env, body, 3], or None
     angular      velocity [rad/s], shape [row, env, body, 3], or None
+    distinct     environments no two of which are known to have the same states in these rows
+    which        for each environment, the one of `distinct` that has its states: an index into that
     """
 
     step: Array
@@ -41,6 +46,8 @@ class States:
     orientation: Array | None
     linear: Array | None
     angular: Array | None
+    distinct: Index
+    which: Index
 
 
 def drawn_envs(n_env: int) -> tuple[tuple[int, int], ...]:
@@ -94,12 +101,16 @@ class Walk:
         return float(max((np.abs(origins[a : b + 1]).max(initial=0.0) for a, b in self._envs), default=0.0))
 
     def chunks(self, first: int = 0, stop: int | None = None) -> Iterator[States]:
-        """Rows from `first` to `stop`, a block of the file at a time, or less where that is many megabytes."""
+        """Rows from `first` to `stop`, a block of the file at a time, or less where that is many megabytes; the initial
+        state, a block of its own, is with the first of the others."""
         end = len(self) if stop is None else min(stop, len(self))
         n_env = sum(last - begin + 1 for begin, last in self._envs)
         rows = max(1, min(_CHUNK_ROWS, _CHUNK_BYTES // (n_env * max(1, len(self.items)) * 3 * 8)))
-        for begin in range(first, end, rows):
-            yield self.rows(begin, min(begin + rows, end))
+        begin = first
+        while begin < end:
+            after = min(end, 1 + rows * (1 + max(0, begin - 1) // rows))
+            yield self.rows(begin, after)
+            begin = after
 
     def rows(self, first: int, stop: int) -> States:
         """Some rows at once; the caller bounds them."""
@@ -112,21 +123,43 @@ class Walk:
             self._read("orientation", first, stop),
             self._read("linear_velocity", first, stop),
             self._read("angular_velocity", first, stop),
+            *self._distinct(steps, position.shape[1]),
         )
+
+    def _distinct(self, steps: Array, n_env: int) -> tuple[Index, Index]:
+        # by the state hashes, which are held against the states when a file is verified
+        if self._hashes is not None:
+            at = np.searchsorted(self._hashes.steps, steps)
+            if np.array_equal(self._hashes.steps[at[at < len(self._hashes.steps)]], steps):
+                _, first, which = np.unique(self._hashes.hashes[at], axis=1, return_index=True, return_inverse=True)
+                return first, which.reshape(-1)
+        return np.arange(n_env), np.arange(n_env)
+
+    @cached_property
+    def _hashes(self) -> Fingerprints | None:
+        # where all environments are read, and lie at one place
+        n_env, simulation = self._recording.configuration.n_env, self._recording.simulation
+        if self._envs != ((0, n_env - 1),) or simulation is None or len(set(simulation.env_origins)) > 1:
+            return None
+        return self._recording.fingerprints("capture")
 
     def _read(self, field: str, first: int, stop: int) -> Array | None:
         arrays = [self._fields.get((group, field)) for group in self.groups]
         if any(array is None for array in arrays):
             return None
         parts = [
-            np.concatenate([self._of(array, first, stop, begin, last) for begin, last in self._envs], axis=1)
+            _joined([self._of(array, first, stop, begin, last) for begin, last in self._envs], axis=1)
             for array in arrays
             if array is not None
         ]
-        return np.concatenate(parts, axis=2)
+        return _joined(parts, axis=2)
 
     def _of(self, array: StateArray, first: int, stop: int, begin: int, last: int) -> Array:
         read = array.read(slice(first, stop), slice(begin, last + 1))
         if array.field.field != "position":
-            return read.astype(np.float64)
+            return read.astype(np.float64, copy=False)
         return in_env_frame(self._recording, array.field, read, slice(begin, last + 1))
+
+
+def _joined(parts: list[Array], axis: int) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)

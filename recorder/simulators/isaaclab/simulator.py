@@ -1,8 +1,8 @@
 """Isaac Lab: its InteractiveScene and SimulationContext, without a window, on PhysX or on Newton.
 
 Environments are clones that lie beside each other in one world, on a grid about its origin; states are recorded in that
-world's frame, and the environments' origins with them. For a capture, the state of each step is kept on the device, and
-read once a block is full.
+world's frame, and the environments' origins with them. For a capture, the state of each step is kept on the device; a
+full block is copied to the host while the next is made.
 """
 
 from __future__ import annotations
@@ -20,19 +20,22 @@ from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
-from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.isaaclab.block import STATES, IsaacLabBlock
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
+from gpusimbench.recorder.simulators.warp.transfer import Slots
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 
 _OLDEST = 3  # before it, quaternions were wxyz, and nothing ran without Isaac Sim
 _ROWS = 50
-_ROW_BYTES = 512 << 20  # of all rows
+_ROW_BYTES = 128 << 20  # of all rows
 _POSES, _SPEEDS = "body_link_pose_w", "body_com_vel_w"
 _BODY = 4 * (7 + 6)  # bytes of a body's pose and speeds
 
@@ -58,6 +61,7 @@ class IsaacLab(Simulator):
 
     Options = IsaacLabOptions
     abilities = BODIES - {Ability.TILTED_PLANES} | {Ability.MODELS}  # environments beside each other share a plane
+    blocks_ahead = 2
     timing_interval = 10  # Newton's steps are queued; synchronising after each would be charged to it
     determinism_levels = {
         "default": "as it ships, on any backend",
@@ -101,7 +105,7 @@ class IsaacLab(Simulator):
         _without_pinned_memory()
         self._stepped = True  # what the last step showed has still to be asked for
         self._counted: Evidence | None = None
-        self._ring: tuple[Any, Any] | None = None
+        self._slots: Slots | None = None
         self._compiled = False
         self._model: Any = None  # of a model file
         if isinstance(self.scene, ModelScene):
@@ -220,14 +224,15 @@ class IsaacLab(Simulator):
             self._physics.store()  # which forgets what that step has shown
         self._compiled = True
         self._world.state()
-        if phase == "capture" and self._ring is None:
-            import torch
 
-            rows = self._rows()
-            self._ring = (
-                torch.empty((rows, *self._world.state()[0].shape), device=str(self._device)),
-                torch.empty((rows, *self._world.state()[1].shape), device=str(self._device)),
-            )
+    def reserve(self, n_step: int) -> None:
+        """See Simulator.reserve; longer blocks are made in parts."""
+        import warp as wp
+
+        rows = min(n_step, self._rows())
+        if self._slots is None or self._slots.rows < rows:
+            shapes = zip(STATES, (array.shape for array in self._world.state()), strict=True)
+            self._slots = Slots(self._device, {name: ((rows, *shape), wp.float32) for name, shape in shapes})
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
         """See Simulator.prepare."""
@@ -270,25 +275,41 @@ class IsaacLab(Simulator):
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
-        self.compile("capture")
-        assert self._ring is not None
-        poses, speeds = self._ring
-        states, evidence = [], []
-        for first in range(0, n_step, len(poses)):
-            rows = min(len(poses), n_step - first)
-            self._physics.rewind()
-            for row in range(rows):
-                self._world.step()
-                pose, speed = self._world.state()
-                poses[row].copy_(pose)
-                speeds[row].copy_(speed)
-                self._physics.store()
-            states.append(self._world.split(poses[:rows].cpu().numpy(), speeds[:rows].cpu().numpy()))
-            evidence.append(self._physics.evidence(rows))
-        self._made += n_step
+        self.reserve(n_step)
+        assert self._slots is not None
+        states: list[States] = []
+        evidence: list[Evidence | None] = []
+        for first in range(0, n_step, self._slots.rows):
+            block = self.begin_states(min(self._slots.rows, n_step - first))
+            block.wait()
+            states.append(tuple(array.copy() for array in block.states(slice(None))))
+            evidence.append(block.evidence())
+            block.release()
         self._counted = _joined(evidence)
-        self._stepped = False
         return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
+
+    def begin_states(self, n_step: int) -> Captured:
+        """See Simulator.begin_states."""
+        self.compile("capture")
+        self.reserve(n_step)
+        assert self._slots is not None
+        if n_step > self._slots.rows:
+            return Held(self.states(n_step), self._counted)
+        import warp as wp
+
+        slot = self._slots.take()
+        kept = [wp.to_torch(slot.arrays[name]) for name in STATES]
+        self._physics.rewind()
+        for row in range(n_step):
+            self._world.step()
+            for rows, array in zip(kept, self._world.state(), strict=True):
+                rows[row].copy_(array)
+            self._physics.store()
+        self._wait()  # torch's copies, which have a stream of their own, too
+        slot.begin_copy(n_step)
+        self._made += n_step
+        self._counted, self._stepped = self._physics.evidence(n_step), False
+        return IsaacLabBlock(self._slots, slot, n_step, self._world, self._counted)
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:
@@ -342,9 +363,9 @@ class IsaacLab(Simulator):
 
     def close(self) -> None:
         """See Simulator.close."""
-        for name in ("_ring", "_world", "_physics"):
+        for name in ("_slots", "_world", "_physics"):
             held = vars(self).pop(name, None)
-            if name != "_ring" and held is not None:
+            if name != "_slots" and held is not None:
                 held.close()
 
 

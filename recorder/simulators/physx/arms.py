@@ -87,16 +87,17 @@ class Arms:
         angles, speeds = (array[..., 0] for array in states)
         return {**first, "POSITION": angles, "VELOCITY": speeds}
 
-    @staticmethod
-    def row_bytes(scene: Scene, n_env: int) -> int:
-        """Of a state on the device."""
-        return 4 * _WIDTH * n_env * len(scene.robot.joints() if scene.robot else ())
+    @property
+    def row_shape(self) -> tuple[int, ...]:
+        """Of a stored state: [quantity, robot, joint], rows as the engine has them."""
+        return _WIDTH, *self._angles.shape
 
-    def rows(self, rows: int) -> Any:
-        """Room for some states on the device: [row, quantity, robot, joint], rows as the engine has them."""
-        import warp as wp
+    def begin(self) -> None:
+        """The tensors are there."""
 
-        return wp.empty((rows, _WIDTH, *self._angles.shape), dtype=wp.float32, device=self._device)
+    def store_step(self, stored: Any, row: int) -> None:
+        """Store the state that a step has left."""
+        self.store(stored, row)
 
     def store(self, stored: Any, row: int) -> bool:
         """Store the present state."""
@@ -112,9 +113,9 @@ class Arms:
         joints = tuple(self._joints)
         return joint_field("robot", "qpos", "float32", joints), joint_field("robot", "qvel", "float32", joints)
 
-    def split(self, stored: NDArray[np.float32]) -> States:
-        """Stored states as copies, the arrays of `fields`."""
-        return tuple(stored[:, quantity, self._rows, :, None] for quantity in range(_WIDTH))
+    def split(self, stored: NDArray[np.float32], envs: slice = slice(None)) -> States:
+        """Of a range of environments, the arrays of `fields` in stored states, as copies."""
+        return tuple(stored[:, quantity, self._rows[envs], :, None] for quantity in range(_WIDTH))
 
     def prepare(self, targets: NDArray[np.float32]) -> None:
         """Take the targets of the next steps, [step, env, joint]."""

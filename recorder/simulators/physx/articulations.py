@@ -177,9 +177,11 @@ class Articulations:
 
     def kept(self) -> dict[str, NDArray[Any]]:
         """Positions and velocities: copies [env, number]."""
-        stored = self.rows(1)
+        import warp as wp
+
+        stored = wp.empty((1, *self.row_shape), dtype=wp.float32, device=self._device)
         self.store(stored, 0)
-        positions, velocities = self._sorted(stored.numpy())
+        positions, velocities = self._sorted(stored.numpy(), slice(None))
         return {_POSITIONS: positions[0], _VELOCITIES: velocities[0]}
 
     def put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs, *, stepped: bool) -> None:
@@ -197,15 +199,17 @@ class Articulations:
         positions, velocities = self.layout.joined(states)
         return {_POSITIONS: positions.astype(np.float32), _VELOCITIES: velocities.astype(np.float32)}
 
-    def row_bytes(self, scene: Any, n_env: int) -> int:
-        """Of a state on the device."""
-        return 4 * self._total
+    @property
+    def row_shape(self) -> tuple[int, ...]:
+        """Of a stored state: [number], the columns one after the other."""
+        return (self._total,)
 
-    def rows(self, rows: int) -> Any:
-        """Room for some states on the device: [row, number], the columns one after the other."""
-        import warp as wp
+    def begin(self) -> None:
+        """The tensors are there."""
 
-        return wp.empty((rows, self._total), dtype=wp.float32, device=self._device)
+    def store_step(self, stored: Any, row: int) -> None:
+        """Store the state that a step has left."""
+        self.store(stored, row)
 
     def store(self, stored: Any, row: int) -> bool:
         """Store the present state."""
@@ -216,15 +220,13 @@ class Articulations:
             wp.copy(stored, column.array.flatten(), dest_offset=row * self._total + column.first, count=column.size())
         return True
 
-    def _sorted(self, stored: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        # stored states as positions and velocities, [row, env, number]
-        model = self._compiled.model
-        positions, velocities = (
-            np.zeros((len(stored), self._n_env, n), dtype=np.float32) for n in (model.nq, model.nv)
-        )
+    def _sorted(self, stored: NDArray[np.float32], envs: slice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        # stored states of a range of environments as positions and velocities, [row, env, number]
+        model, count = self._compiled.model, len(range(self._n_env)[envs])
+        positions, velocities = (np.zeros((len(stored), count, n), dtype=np.float32) for n in (model.nq, model.nv))
         for column in self._columns:
             flat = stored[:, column.first : column.first + column.size()]
-            values = flat.reshape(len(stored), *column.array.shape)[:, column.rows]
+            values = flat.reshape(len(stored), *column.array.shape)[:, column.rows[envs]]
             (velocities if column.velocities else positions)[..., column.at] = values
         return positions, velocities
 
@@ -232,9 +234,9 @@ class Articulations:
         """Layout of the state."""
         return self.layout.fields()
 
-    def split(self, stored: NDArray[np.float32]) -> States:
-        """Stored states as copies, the arrays of `fields`."""
-        return self.layout.split(*self._sorted(stored))
+    def split(self, stored: NDArray[np.float32], envs: slice = slice(None)) -> States:
+        """Of a range of environments, the arrays of `fields` in stored states, as copies."""
+        return self.layout.split(*self._sorted(stored, envs))
 
     def prepare(self, controls: NDArray[np.float32]) -> None:
         """Take the controls of the next steps, [step, env, actuator]."""

@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.scenes.base import Scene, Vector
 from gpusimbench.recorder.scenes.emit.usd import env_path, prim_names
 from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.physx import libraries
 from gpusimbench.recorder.simulators.physx.grid import every
 from gpusimbench.recorder.simulators.physx.session import Session
 from gpusimbench.recorder.simulators.snapshot import Envs
+from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_fields
 
 _COLUMNS = ("position", "orientation", "linearVelocity", "angularVelocity")
+_TENSORS = ("RIGID_BODY_POSE", "RIGID_BODY_VELOCITY")  # in the order of the columns
 _WIDTH = 13  # numbers of a body: position, quaternion wxyz, linear and angular velocity
 _PARTS = (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13))
 _TRIES = 4096
@@ -33,20 +36,51 @@ class Bodies:
         self._n_env = n_env
         self._names = [prim_names(scene)[body.name] for body in scene.moving()]
         self._source: Any = None
+        self._tensors: tuple[Any, ...] = ()  # of poses and of velocities: bindings, and arrays that they are read into
         places = {body.name: index for index, body in enumerate(scene.moving())}
-        self._groups = [np.array([places[name] for name in names]) for names in scene.groups().values()]
+        self._groups = [_range([places[name] for name in names]) for names in scene.groups().values()]
         self.count = n_env * len(self._names)
 
-    @staticmethod
-    def row_bytes(scene: Scene, n_env: int) -> int:
-        """Of a state on the device."""
-        return 4 * _WIDTH * n_env * len(scene.moving())
+    @property
+    def row_shape(self) -> tuple[int, ...]:
+        """Of a stored state: [body, number]."""
+        return self.count, _WIDTH
 
-    def rows(self, rows: int) -> Any:
-        """Room for some states on the device: [row, body, number]."""
+    def begin(self) -> None:
+        """Get ready to store what steps leave: by tensors, which stay where the engine computes. A read-out goes
+        through the bodies one by one on the host: on an H200, that of 110,592 bodies took longer than a step."""
+        import warp as wp
+        from ovphysx.types import TensorType
+
+        if self._tensors:
+            return
+        paths, rows = self._paths(None), []
+        with libraries.quiet():
+            bindings = [
+                self._session.physx.create_tensor_binding(prim_paths=paths, tensor_type=TensorType[name])
+                for name in _TENSORS
+            ]
+        for binding in bindings:
+            places = {path: row for row, path in enumerate(binding.prim_paths)}
+            if places.keys() != set(paths):
+                raise GsbError(f"PhysX has tensors of {len(places)} bodies, not of the {len(paths)} of the scene")
+            rows.append([places[path] for path in paths])
+        if rows[0] != rows[1]:
+            raise GsbError("PhysX gives poses and velocities of its bodies in different orders")
+        arrays = [wp.empty(binding.shape, dtype=wp.float32, device=self._device) for binding in bindings]
+        self._tensors = (*bindings, *arrays, wp.array(rows[0], dtype=wp.int32, device=self._device))
+
+    def store_step(self, stored: Any, row: int) -> None:
+        """Store the state that a step has left, once `begin` was called."""
         import warp as wp
 
-        return wp.empty((rows, self.count, _WIDTH), dtype=wp.float32, device=self._device)
+        from gpusimbench.recorder.simulators.physx import kernels
+
+        of_poses, of_velocities, poses, velocities, source = self._tensors
+        of_poses.read(poses)  # waits for what has been enqueued on the array, and for the numbers
+        of_velocities.read(velocities)
+        columns = (poses[:, :3], poses[:, 3:], velocities[:, :3], velocities[:, 3:])
+        wp.launch(kernels.store_bodies, dim=self.count, inputs=[row, source, *columns, stored], device=self._device)
 
     def store(self, stored: Any, row: int) -> bool:
         """Store the present state; False where the engine does not tell it, as a GPU before the first step."""
@@ -79,7 +113,9 @@ class Bodies:
 
     def kept(self) -> dict[str, NDArray[Any]]:
         """The bodies' poses and velocities: copies [env, number] by name."""
-        stored = self.rows(1)
+        import warp as wp
+
+        stored = wp.empty((1, *self.row_shape), dtype=wp.float32, device=self._device)
         self.store(stored, 0)
         return {"bodies": stored.numpy().reshape(self._n_env, -1).copy()}
 
@@ -115,10 +151,23 @@ class Bodies:
         notes = {"orientation": "reordered by the recorder from PhysX's xyzw"}
         return body_fields(self._scene.groups(), "float32", notes)
 
-    def split(self, stored: NDArray[np.float32]) -> States:
-        """Stored states [step, body, number] as copies, the arrays of `fields`."""
-        shaped = stored.reshape(len(stored), self._n_env, -1, _WIDTH)
-        return tuple(shaped[:, :, group][..., part] for group in self._groups for part in _PARTS)
+    def split(self, stored: NDArray[np.float32], envs: slice = slice(None)) -> States:
+        """Of a range of environments, the arrays of `fields` in stored states [step, body, number]; views, if bodies of
+        a group follow each other."""
+        shaped = stored.reshape(len(stored), self._n_env, -1, _WIDTH)[:, envs]
+        return tuple(shaped[:, :, group, part] for group in self._groups for part in _PARTS)
+
+    def close(self) -> None:
+        """Give the engine's tensors back."""
+        for binding in self._tensors[:2]:
+            binding.destroy()
+        self._tensors = ()
+
+
+def _range(places: list[int]) -> slice | NDArray[np.int64]:
+    # a slice, if that is what they are, since it gives views
+    first, end = places[0], places[0] + len(places)
+    return slice(first, end) if places == list(range(first, end)) else np.array(places)
 
 
 def described(scene: Scene, origins: tuple[Vector, ...], n_env: int) -> NDArray[np.float32]:

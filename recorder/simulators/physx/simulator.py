@@ -2,12 +2,13 @@
 
 All environments are in one PhysX scene: environment 0 is read from USD, and the others are clones of it, beside each
 other on a grid, or on a GPU all at the same place. On a GPU states stay there; for a capture those of each step are
-gathered in a ring on the device, which is read once it is full.
+gathered in a ring on the device, of which one block is copied to the host while the next is being filled.
 """
 
 from __future__ import annotations
 
 import gc
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -22,18 +23,21 @@ from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.scenes.model.scene import ModelScene
-from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.recorder.simulators.physx import grid
+from gpusimbench.recorder.simulators.physx.block import PhysxBlock
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS, OF_THE_GPU, PhysxOptions, apis, broad_phase
 from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
+from gpusimbench.recorder.simulators.warp.transfer import Slots
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer
 
-_RING_ROWS = 50
-_RING_BYTES = 512 << 20
+_BLOCK_ROWS = 50
+_BLOCK_BYTES = 128 << 20
 
 
 class Physx(Simulator):
@@ -41,6 +45,7 @@ class Physx(Simulator):
 
     Options = PhysxOptions
     abilities = BODIES | ROBOTS - {Ability.ROBOT_AMONG_BODIES} | {Ability.MODELS}
+    blocks_ahead = 2
     determinism_levels = {
         "default": "the engine as it ships: what an environment does may depend on how many others there are",
         "enhanced": "physxScene:enableEnhancedDeterminism: what an environment does does not depend on the others, "
@@ -71,6 +76,8 @@ class Physx(Simulator):
             raise UsageError(
                 "option 'spacing' is above 0 where PhysX runs on the CPU: environments at the same place would collide"
             )
+        import warp as wp
+
         from gpusimbench.recorder.simulators.physx import arms, bodies, libraries
         from gpusimbench.recorder.simulators.physx.session import Session
         from gpusimbench.recorder.simulators.physx.sizes import choose_buffers
@@ -107,8 +114,8 @@ class Physx(Simulator):
         elif self._model is not None:
             self._arms = self._model.articulations(session, n_env=self.n_env, origins=origins, device=device)
         self._source: Any = self._arms or bodies.Bodies(session, self.scene, n_env=self.n_env, device=device)
-        self._last = self._source.rows(1)
-        self._ring: Any = None
+        self._last = wp.empty((1, *self._source.row_shape), dtype=wp.float32, device=device)
+        self._slots: Slots | None = None
         if gpu and self._arms is None:
             if self._source.store(self._last, 0):
                 raise GsbError("PhysX did not take the GPU: its states are on the host; its messages say why")
@@ -160,15 +167,23 @@ class Physx(Simulator):
         return found if gpu else found | dict.fromkeys(OF_THE_GPU)
 
     def compile(self, phase: str) -> None:
-        """See Simulator.compile: the ring and the kernel that fills it; PhysX comes compiled."""
-        if phase == "capture" and self._ring is None:
+        """See Simulator.compile: what the states are read by, and the kernel that sorts them; PhysX comes compiled."""
+        if phase == "capture":
             import warp as wp
 
             from gpusimbench.recorder.simulators.physx import kernels
 
-            rows = max(1, min(_RING_ROWS, _RING_BYTES // self._source.row_bytes(self.scene, self.n_env)))
-            self._ring = self._source.rows(rows)
+            self._source.begin()
             wp.load_module(kernels, device=self._device)
+
+    def reserve(self, n_step: int) -> None:
+        """See Simulator.reserve; longer blocks are made in parts."""
+        import warp as wp
+
+        shape = self._source.row_shape
+        rows = max(1, min(n_step, _BLOCK_ROWS, _BLOCK_BYTES // (4 * math.prod(shape))))
+        if self._slots is None or self._slots.rows < rows:
+            self._slots = Slots(self._device, {"states": ((rows, *shape), wp.float32)})
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
         """See Simulator.prepare."""
@@ -213,19 +228,33 @@ class Physx(Simulator):
         if self._start is not None:
             return tuple(array[0] for array in self._start)
         self._source.store(self._last, 0)
-        return tuple(array[0] for array in self._source.split(self._last.numpy()))
+        return tuple(array[0].copy() for array in self._source.split(self._last.numpy()))
+
+    def begin_states(self, n_step: int) -> Captured:
+        """See Simulator.begin_states: PhysX returns when a step is done, and the copy of the block goes on."""
+        self.compile("capture")
+        self.reserve(n_step)
+        assert self._slots is not None
+        if n_step > self._slots.rows:
+            return Held(self.states(n_step))
+        slot = self._slots.take()
+        for row in range(n_step):
+            self._advance(1)
+            self._source.store_step(slot.arrays["states"], row)
+        slot.begin_copy(n_step)
+        return PhysxBlock(self._slots, slot, n_step, self._source)
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
-        self.compile("capture")
-        blocks = []
-        for first in range(0, n_step, len(self._ring)):
-            rows = min(len(self._ring), n_step - first)
-            for row in range(rows):
-                self._advance(1)
-                self._source.store(self._ring, row)
-            blocks.append(self._source.split(self._ring[:rows].numpy()))
-        return blocks[0] if len(blocks) == 1 else tuple(map(np.concatenate, zip(*blocks, strict=True)))
+        self.reserve(n_step)
+        assert self._slots is not None
+        parts: list[States] = []
+        for first in range(0, n_step, self._slots.rows):
+            block = self.begin_states(min(self._slots.rows, n_step - first))
+            block.wait()
+            parts.append(tuple(array.copy() for array in block.states(slice(None))))
+            block.release()
+        return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:
@@ -278,9 +307,9 @@ class Physx(Simulator):
 
     def close(self) -> None:
         """See Simulator.close."""
-        if vars(self).get("_arms") is not None:
-            self._arms.close()
-        for name in ("_ring", "_last", "_source", "_arms"):
+        if vars(self).get("_source") is not None:
+            self._source.close()
+        for name in ("_slots", "_last", "_source", "_arms"):
             vars(self).pop(name, None)
         session = vars(self).pop("_session", None)
         gc.collect()  # the engine does not end while an array of it is alive

@@ -7,43 +7,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.simulators.captured import Captured, States
+from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.recorder.simulators.warp.transfer import Slot, Slots
+from gpusimbench.recorder.simulators.warp.transfer import Slot, SlotBlock, Slots
 
 
-class WarpBlock(Captured):
-    """The first rows of a slot, which goes back to its kind when they were read."""
+class WarpBlock(SlotBlock):
+    """Positions, velocities, controls and counts of steps in a slot."""
 
     def __init__(self, slots: Slots, slot: Slot, rows: int, compiled: Any) -> None:
         """compiled  recorder.simulators.mujoco.model.MjcfModel, which knows where bodies are in qpos and qvel"""
-        self._slots = slots
-        self._slot = slot
-        self._rows = rows
+        super().__init__(slots, slot, rows)
         self._compiled = compiled
-
-    def wait(self) -> None:
-        """See Captured.wait."""
-        self._slot.wait()
 
     def states(self, envs: slice) -> States:
         """See Captured.states."""
-        qpos, qvel = (self._slot.host(name, self._rows)[:, envs] for name in ("qpos", "qvel"))
+        qpos, qvel = (self.host(name)[:, envs] for name in ("qpos", "qvel"))
         states: States = self._compiled.split(qpos, qvel)
         return states
 
     def actions(self, envs: slice) -> NDArray[np.float32] | None:
         """See Captured.actions."""
-        return self._slot.host("ctrl", self._rows)[:, envs] if "ctrl" in self._slot.arrays else None
+        return self.host("ctrl")[:, envs] if "ctrl" in self._slot.arrays else None
 
     def evidence(self) -> Evidence:
         """See Captured.evidence."""
-        return evidence_of(self._slot.host("counts", self._rows))
-
-    def release(self) -> None:
-        """See Captured.release."""
-        self._slots.give_back(self._slot)
+        return evidence_of(self.host("counts"))
 
 
 def evidence_of(counts: NDArray[np.int32]) -> Evidence:

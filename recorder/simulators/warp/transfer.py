@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.simulators.captured import RING_BLOCKS
+from gpusimbench.recorder.simulators.captured import RING_BLOCKS, Captured
 
 
 class Slot:
@@ -80,3 +80,24 @@ class Slots:
     def give_back(self, slot: Slot) -> None:
         """The slot may be taken again."""
         self._free.put(slot)
+
+
+class SlotBlock(Captured):
+    """Steps in the first rows of a slot, which goes back to its kind when they were read."""
+
+    def __init__(self, slots: Slots, slot: Slot, rows: int) -> None:
+        self._slots = slots
+        self._slot = slot
+        self._rows = rows
+
+    def host(self, name: str) -> NDArray[Any]:
+        """The steps of an array on the host: not a copy."""
+        return self._slot.host(name, self._rows)
+
+    def wait(self) -> None:
+        """See Captured.wait."""
+        self._slot.wait()
+
+    def release(self) -> None:
+        """See Captured.release."""
+        self._slots.give_back(self._slot)
