@@ -106,13 +106,14 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Replay, compare and print; returns the exit code."""
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.render.terminal import print_document
-    from gpusimbench.evaluator.replays.comparison import compare
+    from gpusimbench.evaluator.replays.comparison import compare, successes_of
     from gpusimbench.evaluator.replays.document import dump_json, replay_document
     from gpusimbench.recorder.demonstrations.hdf5 import file_of
     from gpusimbench.replay.dataset import converted
     from gpusimbench.replay.parts import infos_of
 
     check_target(arguments.json)
+    _check_out(arguments.out)
     source = file_of(arguments.file) if isinstance(arguments.file, Path) else None
     if not 0 <= arguments.tolerance < float("inf"):
         raise UsageError(f"--tolerance is a share of at least 0, not {arguments.tolerance}")
@@ -124,7 +125,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UsageError("--set is of environments of Gymnasium's registry: put it into the function of --make")
     (original,) = verified([arguments.file if source is None else converted(source, arguments)])
     success = arguments.success or ("success" if "success" in infos_of(original) else None)
-    made = arguments.against or place(str(_replayed(original, arguments)))
+    if success:
+        successes_of(original, success, At(arguments.success_at))  # what it lacks is said before anything is replayed
+    made = arguments.against or place(str(_replayed(original, arguments, success)))
     (replay,) = verified([made])
     with stage("comparing episodes"):
         found = compare(original, replay, success=success, at=At(arguments.success_at), tolerance=arguments.tolerance)
@@ -135,10 +138,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return int(_exit_code(found, arguments.require))
 
 
-def _replayed(original: Recording, arguments: argparse.Namespace) -> Path:
+def _replayed(original: Recording, arguments: argparse.Namespace, success: str | None) -> Path:
     from gpusimbench.replay.dataset import require_gymnasium
     from gpusimbench.replay.origin import given, origin_of
-    from gpusimbench.replay.parts import infos_of, parts_of, seed_of
+    from gpusimbench.replay.parts import given_at_first, infos_of, parts_of, seed_of
 
     require_gymnasium()
     from gpusimbench.recorder.vector.making import of_factory, registered
@@ -154,9 +157,14 @@ def _replayed(original: Recording, arguments: argparse.Namespace) -> Path:
         words = ", ".join(f"{name}={value!r}" for name, value in origin.keywords.items())
         _say(f"replaying in {n_env} environments {origin.spec_id}({words})")
         envs = registered(origin.spec_id, origin.keywords, n_env, vectorization=origin.vectorization)
+    how = {"seed": seed_of(original), "infos": infos_of(original), "dt": original.configuration.dt}
+    needed = success if success and given_at_first(original, success) else ""
     with stage("replaying episodes"):
         try:
-            replay(envs, path, parts, seed=seed_of(original), infos=infos_of(original), dt=original.configuration.dt)
+            replay(envs, path, parts, needed=needed, **how)
+        except UsageError:
+            path.unlink(missing_ok=True)  # of a step that could not be used
+            raise
         except GsbError:
             raise
         except Exception as error:  # of the environment, whatever its kind
@@ -167,9 +175,15 @@ def _replayed(original: Recording, arguments: argparse.Namespace) -> Path:
 def _target(original: Recording, named: Path | None) -> Path:
     """Where the replay is recorded; UsageError where a file is there."""
     path = named or Path(f"{Path(str(original.path)).name.removesuffix('.mcap')}-replay.mcap")
-    if path.exists():
-        raise UsageError(f"{path} exists: name another file with --out")
+    _check_out(path)
     return path
+
+
+def _check_out(path: Path | None) -> None:
+    if path is not None and path.exists():
+        raise UsageError(f"{path} exists: name another file with --out")
+    if path is not None and not path.parent.is_dir():
+        raise UsageError(f"--out takes the file to write; {path} is in no folder that exists ({path.parent})")
 
 
 def _exit_code(found: Compared, required: str) -> ExitCode:
