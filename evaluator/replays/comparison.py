@@ -25,6 +25,7 @@ _NO_CAUSES = (
     "options.seeds",
     "options.autoreset_mode",
     "options.source",
+    "options.not_given",
     "options.vectorization",
     "software.recorder",
     "software.packages.gpusimbench",

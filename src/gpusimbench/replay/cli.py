@@ -24,7 +24,7 @@ _REQUIRED = ("bit-identical", "same-outcome")
 _EPILOG = """\
 The recorded actions are fed, open loop, to an environment that is made again and reset with the recorded seeds; what it
 does is recorded, and compared episode by episode. Recordings are those of gpusimbench.wrap. gsb-audit replays those of
-gsb-record. A data set in HDF5 becomes a recording first, NAME.mcap in the present folder.
+gsb-record. A data set becomes a recording first, NAME.mcap in the present folder.
 
 Code runs only if you have it installed or name it: from a file come the id of Gymnasium's registry and keywords that
 are no paths, and --make imports your own module.
@@ -32,6 +32,7 @@ are no paths, and --make imports your own module.
 verdicts, strongest first:
   bit-identical   every observation and reward has the same bits, and the episode ends at the same step
   same outcome    bits differ; length, end, success and, within --tolerance, the return are the same
+  outcome not known  bits differ, and the data set has neither rewards nor the info of --success
   other outcome   one of these differs
   not replayed    the replay has no such episode
 
@@ -47,6 +48,7 @@ examples:
   gsb-replay demos.mcap
   gsb-replay demos.mcap --set frame_skip=4 --require same-outcome
   gsb-replay hopper_medium-v2.hdf5 --env Hopper-v5 --episodes 100
+  gsb-replay lerobot/pusht --env gym_pusht/PushT-v0 --success is_success
   gsb-replay demos.mcap --make my_task:make --success success
   gsb-replay demos.mcap --against replay-of-another-machine.mcap --json -
 """
@@ -62,7 +64,7 @@ def parser() -> Parser:
     )
     p.add_argument(
         "file", type=place, metavar="FILE",
-        help="recording (.mcap) of gpusimbench.wrap, D4RL file (.hdf5), or folder of a Minari data set",
+        help="recording (.mcap) of gpusimbench.wrap, D4RL file (.hdf5), or folder of a Minari or LeRobot data set",
     )  # fmt: skip
     how = p.add_mutually_exclusive_group()
     how.add_argument("--env", metavar="ID", help="environment of Gymnasium's registry (default: the recorded one)")
@@ -108,19 +110,19 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.render.terminal import print_document
     from gpusimbench.evaluator.replays.comparison import compare, successes_of
     from gpusimbench.evaluator.replays.document import dump_json, replay_document
-    from gpusimbench.recorder.demonstrations.hdf5 import file_of
+    from gpusimbench.recorder.demonstrations.formats import data_set_at
     from gpusimbench.replay.dataset import converted
     from gpusimbench.replay.parts import infos_of
 
     check_target(arguments.json)
     _check_out(arguments.out)
-    source = file_of(arguments.file) if isinstance(arguments.file, Path) else None
+    source = data_set_at(arguments.file) if isinstance(arguments.file, Path) else None
     if not 0 <= arguments.tolerance < float("inf"):
         raise UsageError(f"--tolerance is a share of at least 0, not {arguments.tolerance}")
     if arguments.against and (arguments.keywords or arguments.out):
         raise UsageError("--against replays nothing: --set and --out have no use")
     if arguments.episodes is not None and source is None:
-        raise UsageError("--episodes is of data sets in HDF5; of a recording, all episodes are replayed")
+        raise UsageError("--episodes is of data sets; of a recording, all episodes are replayed")
     if arguments.make and arguments.keywords:
         raise UsageError("--set is of environments of Gymnasium's registry: put it into the function of --make")
     (original,) = verified([arguments.file if source is None else converted(source, arguments)])
