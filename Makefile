@@ -11,7 +11,7 @@ ENGINES     ?= calibration physx sapien
 ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
 export GSB_ENVIRONMENTS ?= $(abspath $(VENV))/environments
 
-.PHONY: help install demo test test-all engines environments test-engines coverage mutants lint proto locks figures site man bench clean
+.PHONY: help install demo test test-all engines environments test-engines test-training coverage mutants lint proto locks figures site man bench clean
 
 help:
 	@echo "make demo   install, record 16 envs x 10 runs of inclined-collision with MuJoCo C, evaluate, write a report"
@@ -58,6 +58,7 @@ test-all: lint environments
 	$(BIN)/python -m pytest -m 'not alone' -n $(JOBS) --dist loadfile --no-loadscope-reorder
 	$(BIN)/python -m pytest -m alone
 	$(MAKE) test-engines
+	$(MAKE) test-training
 
 engines:
 	$(MAKE) test-all ENGINES="$(ALL_ENGINES)"
@@ -73,6 +74,16 @@ test-engines: environments
 	    --disable-pip-version-check --target "$$tools" -c constraints.txt pytest hypothesis && touch "$$tools/.whole"; } || exit; \
 	  PYTHONPATH="$(CURDIR)/src:$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine*.py || exit; \
 	done
+
+# Tests that train with a library, in an environment that has it and torch; no other test needs them.
+$(VENV)/training/.whole: pyproject.toml constraints.txt
+	test -x $(VENV)/training/bin/python || $(PYTHON) -m venv $(VENV)/training
+	$(VENV)/training/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	  -e '.[record]' 'gymnasium[mujoco]' stable-baselines3 torch hypothesis playwright pytest
+	touch $@
+
+test-training: $(VENV)/training/.whole
+	$(VENV)/training/bin/python -m pytest tests/recorder/test_stable_baselines.py
 
 coverage: $(VENV)/.installed-test
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt coverage

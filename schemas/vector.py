@@ -5,6 +5,9 @@ from __future__ import annotations
 FINAL_GIVEN = "final_observation_given"
 """The array that is 0 where the last observation of an episode is not known: in recordings made of some data sets."""
 
+NOT_GIVEN = "not_given"
+"""The option that names arrays for which zeros stand, since a data set lacks them: "reward"."""
+
 PHYSICS = "physics_"
 """Begins the names of the arrays of MuJoCo's qpos and qvel, of each row's observation."""
 

@@ -12,7 +12,7 @@ import pytest
 from gpusimbench import DamagedRecording, NotARecording, open_recording, verify
 from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.recorder.demonstrations.demonstration import Demonstration
-from gpusimbench.recorder.demonstrations.hdf5 import made, read
+from gpusimbench.recorder.demonstrations.hdf5 import made, opened, read
 from gpusimbench.recorder.demonstrations.writing import write
 from tests.conftest import call
 
@@ -135,7 +135,7 @@ def test_more_episodes_than_environments(tmp_path: Path) -> None:
         actions = {"action": rng.integers(9, size=n)}
         of.append(Demonstration(seen, actions, rng.random(n), number % 3 == 0, number % 3 == 1, number, {}))
     (tmp_path / "source.h5").write_bytes(b"of these")
-    write(of, tmp_path / "a.mcap", tmp_path / "source.h5", spec_id="Task-v0", keywords={}, dt=0.1)
+    write(of, tmp_path / "a.mcap", opened(tmp_path / "source.h5"), spec_id="Task-v0", keywords={}, dt=0.1)
     recording = open_recording(tmp_path / "a.mcap")
     verify(recording)
     there = {one.env + 16 * one.number: one for one in episodes(recording)}

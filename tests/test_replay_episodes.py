@@ -308,6 +308,47 @@ def test_infos_of_success(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     sys.modules.pop("searches")
 
 
+def test_what_cannot_work_is_said_before_it_is_replayed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refuse a flag that was not recorded, or that is not given in the first step, and a folder that is not there."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    from tests.scripts import example
+
+    example("search").record("near", tmp_path / "a.mcap", 8, 2, 0)
+    (tmp_path / "silent.py").write_text(
+        "import gymnasium\n\nfrom tests.scripts import example\n\n\nclass Silent(example('search').Search):\n"
+        "    def step(self, action):\n        return *super().step(action)[:4], {}\n\n\ndef make(n_env):\n"
+        "    print('made')\n    return gymnasium.vector.SyncVectorEnv([Silent] * n_env)\n"
+    )
+    given = ("a.mcap", "--make", "silent:make")
+    done = call("gsb-replay", *given, "--success", "nothing", code=2, cwd=tmp_path)
+    assert "has no info nothing; it has success" in done.stderr and "made" not in done.stdout
+    done = call("gsb-replay", *given, "--out", "none/b.mcap", code=2, cwd=tmp_path)
+    assert "none/b.mcap is in no folder that exists" in done.stderr and "made" not in done.stdout
+    done = call("gsb-replay", *given, code=2, cwd=tmp_path)
+    assert "the environment gives no info success, which was recorded from the first step on" in done.stderr
+    assert sorted(path.name for path in tmp_path.glob("*.mcap*")) == ["a.mcap"]
+    sys.modules.pop("silent")
+
+
+def test_actions_of_another_kind(tmp_path: Path) -> None:
+    """Say in a sentence that a task takes other actions, and leave no file."""
+    for task, path in (("MountainCarContinuous-v0", "real.mcap"), ("MountainCar-v0", "three.mcap")):
+        envs = wrap(gymnasium.make_vec(task, num_envs=2, vectorization_mode="sync"), tmp_path / path, steps=9)
+        envs.reset(seed=0)
+        envs.action_space.seed(0)
+        for _ in range(9):
+            envs.step(envs.action_space.sample())
+        envs.close()
+    cases = {
+        "real.mcap": "the environment takes integers as action, and real numbers were recorded",
+        "three.mcap": "the environment has no action ",
+    }
+    for path, said in cases.items():
+        done = call("gsb-replay", path, "--env", "CartPole-v1", code=2, cwd=tmp_path)
+        assert said in done.stderr and "Error" not in done.stderr
+    assert len(list(tmp_path.glob("*"))) == 2
+
+
 def test_parts_have_a_length() -> None:
     """Count the actions of an episode."""
     assert len(Part({"action": np.zeros((4, 2))})) == 4

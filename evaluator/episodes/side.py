@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.episodes.success import At, successes
-from gpusimbench.evaluator.read.episode_table import EpisodeTable, episode_table, first_observations, has_episodes
+from gpusimbench.evaluator.read.episode_table import (
+    EpisodeTable,
+    episode_table,
+    first_observations,
+    has_episodes,
+    has_rewards,
+)
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import NothingComparable, UsageError
 
@@ -88,6 +94,8 @@ def read_side(recordings: Sequence[Recording]) -> Side:
     for recording in recordings:
         if not has_episodes(recording):
             raise NothingComparable(f"{recording.path} has no episodes; gpusimbench.wrap records them")
+        if not has_rewards(recording):
+            raise NothingComparable(f"{recording.path} has no rewards: its data set lacks them")
         if not recording.usable:
             why = "; ".join(filter(None, (recording.reason, *recording.dropouts)))
             raise NothingComparable(f"{recording.path} is {recording.status}: {why}")

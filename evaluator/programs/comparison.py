@@ -11,7 +11,7 @@ from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference, Verdict
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas.errors import NothingComparable
+from gpusimbench.schemas.errors import NothingComparable, RecordingError
 from gpusimbench.schemas.progress import each
 
 
@@ -38,12 +38,14 @@ class Comparison:
     runs       in order
     compared   by recording, then by run
     left_out   what could not be compared, a sentence each
+    damaged    files named like recordings that are none, or not whole: a sentence each
     """
 
     command: tuple[str, ...]
     runs: tuple[ProgramRun, ...]
     compared: tuple[Compared, ...]
     left_out: tuple[str, ...]
+    damaged: tuple[str, ...]
 
     @property
     def verdict(self) -> Verdict | None:
@@ -61,15 +63,16 @@ class Comparison:
     def whole(self) -> bool:
         """Whether all recordings of all runs were compared, in all that they have."""
         differences = [one.difference for one in self.compared if one.difference is not None]
-        return not self.left_out and not any(d.compared.left_out or d.lost for d in differences)
+        return not (self.left_out or self.damaged) and not any(d.compared.left_out or d.lost for d in differences)
 
 
 def compare_runs(command: Sequence[str], runs: Sequence[ProgramRun]) -> Comparison:
     """Hold the recordings of the first run against those of the same names of all others.
 
-    DamagedRecording where one is not what it says.
+    A file that is no recording, or not what it says, is left out, and named with its run.
     """
     found = [_by_name(run) for run in runs]
+    damaged: list[str] = []
     names = sorted(set().union(*found))
     left_out = [
         f"{name}: written by run {', run '.join(str(i) for i in there)} of {len(runs)} runs"
@@ -84,21 +87,29 @@ def compare_runs(command: Sequence[str], runs: Sequence[ProgramRun]) -> Comparis
         if name in found[0] and name in found[number]
     ]
     compared: list[Compared] = []
+    first, known = None, ""
     for name, number, a, b in each(pairs, "comparing runs"):
-        if not compared or compared[-1].name != name:
-            first = _verified(a)
-        compared.append(_compared(name, number, first, _verified(b)))
+        if known != name:
+            first, known = _verified(a, 0, damaged), name
+        other = _verified(b, number, damaged)
+        if first is not None and other is not None:
+            compared.append(_compared(name, number, first, other))
     left_out += [f"{one.name} of run {one.run}: {one.why_not}" for one in compared if one.difference is None]
-    return Comparison(tuple(command), tuple(runs), tuple(compared), tuple(left_out))
+    return Comparison(tuple(command), tuple(runs), tuple(compared), tuple(left_out), tuple(damaged))
 
 
 def _by_name(run: ProgramRun) -> dict[str, Path]:
     return {path.relative_to(run.folder).as_posix(): path for path in run.recordings}
 
 
-def _verified(path: Path) -> Recording:
-    recording = Recording(path)
-    verify(recording)
+def _verified(path: Path, run: int, damaged: list[str]) -> Recording | None:
+    """The whole recording; None where it is not whole, which `damaged` gets as a sentence."""
+    try:
+        recording = Recording(path)
+        verify(recording)
+    except RecordingError as error:
+        damaged.append(f"run {run}: {error}")
+        return None
     return recording
 
 

@@ -24,6 +24,8 @@ _MIB = 1 << 20
 def runs_document(found: Comparison) -> Document:
     """The verdict, each run, and of the first two recordings that differ what gsb-diff says."""
     blocks: list[Block] = [*_verdicts(found), facts(("program", shlex.join(found.command)), ("runs", _runs(found)))]
+    if found.damaged:
+        blocks.append(Items(tuple(Item(f"  no recording: {said}", Tone.BAD) for said in found.damaged)))
     if found.left_out:
         blocks.append(Items(tuple(Item(f"  not compared: {said}", Tone.WARNING) for said in found.left_out)))
     shown = _shown(found)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.vector import NOT_GIVEN
 
 _FLAGS = ("terminated", "truncated")
 NEEDED = ("reward", *_FLAGS, "stepped", "episode", "episode_step")
@@ -50,6 +51,11 @@ class EpisodeTable:
 def has_episodes(recording: Recording) -> bool:
     """Whether a recording has what episodes are made of."""
     return {f"{ENV}/{name}" for name in NEEDED} <= {field.name for field in recording.fields}
+
+
+def has_rewards(recording: Recording) -> bool:
+    """Whether the rewards of a recording with episodes are known; zeros stand for those that a data set lacks."""
+    return "reward" not in recording.configuration.options.get(NOT_GIVEN, "").split(", ")
 
 
 def episode_table(recording: Recording) -> EpisodeTable:

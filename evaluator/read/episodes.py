@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes
+from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes, has_rewards
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import ENV
@@ -28,6 +28,7 @@ class Episode:
     rewards       [T]
     terminated, truncated  whether it ended so; neither where it was cut by a reset, or by the end of the recording
     final_known   whether the last observation is known; that of a data set which lacks it repeats the one before
+    rewarded      whether rewards are known; zeros stand for those of a data set which lacks them
     """
 
     env: int
@@ -38,6 +39,7 @@ class Episode:
     terminated: bool
     truncated: bool
     final_known: bool = True
+    rewarded: bool = True
 
     def __len__(self) -> int:
         return len(self.rewards)
@@ -96,7 +98,7 @@ def count_episodes(recording: Recording) -> EpisodeCounts | None:
         ended=n_ended,
         cut=len(ended) - n_ended,
         mean_length=float(table.length[ended].mean()) if n_ended else None,
-        mean_return=float(table.returns[ended].mean()) if n_ended else None,
+        mean_return=float(table.returns[ended].mean()) if n_ended and has_rewards(recording) else None,
     )
 
 
@@ -126,5 +128,6 @@ def _of_env(recording: Recording, env: int, names: list[str]) -> Iterator[Episod
             actions={name: array[rows] for name, array in columns.items() if name.startswith("action")},
             rewards=columns["reward"][rows, 0],
             **{flag: bool(columns[flag][last, 0]) for flag in _FLAGS},
+            rewarded=has_rewards(recording),
             final_known=FINAL_GIVEN not in columns or bool(columns[FINAL_GIVEN][last, 0]),
         )

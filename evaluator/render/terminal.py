@@ -122,7 +122,8 @@ def _print_facts(block: Facts, console: Console) -> None:
             if said.code:  # to be copied
                 console.print(shown, style=_STYLES[said.tone], soft_wrap=True)
             else:
-                console.print(Hanging(shown, _STYLES[said.tone], hang=width + 2), soft_wrap=False)
+                hang = width + 2 if head else 0  # a further line begins with as many blanks
+                console.print(Hanging(shown, _STYLES[said.tone], hang=hang), soft_wrap=False)
 
 
 def _print_table(block: Table, console: Console) -> None:

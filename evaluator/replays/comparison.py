@@ -25,6 +25,7 @@ _NO_CAUSES = (
     "options.seeds",
     "options.autoreset_mode",
     "options.source",
+    "options.not_given",
     "options.vectorization",
     "software.recorder",
     "software.packages.gpusimbench",
@@ -76,7 +77,7 @@ def compare(original: Recording, replay: Recording, *, success: str | None, at: 
     """
     if not has_episodes(original):
         raise NothingComparable(f"{original.path} has no episodes: gpusimbench.wrap records them")
-    flags = [_successes(one, success, at) for one in (original, replay)] if success else []
+    flags = [successes_of(one, success, at) for one in (original, replay)] if success else []
     judged = []
     of_replay = _by_env(replay)
     number, replayed = next(of_replay, (-1, []))
@@ -115,7 +116,8 @@ def _by_env(recording: Recording) -> Iterator[tuple[int, list[Episode]]]:
         yield env, list(group)
 
 
-def _successes(recording: Recording, name: str, at: At) -> dict[tuple[int, int], bool]:
+def successes_of(recording: Recording, name: str, at: At) -> dict[tuple[int, int], bool]:
+    """Whether each episode succeeded, by environment and number; raises as successes of evaluator.episodes."""
     table = episode_table(recording)
     found = successes(recording, table, np.arange(len(table.env)), name, at)
     return dict(zip(zip(table.env.tolist(), table.number.tolist(), strict=True), found.tolist(), strict=True))

@@ -26,8 +26,14 @@ _COLUMNS = (
     "largest",
     "outcome leaves",
 )
-_TONES = {Verdict.IDENTICAL: Tone.GOOD, Verdict.SAME: Tone.PLAIN, Verdict.OTHER: Tone.BAD, Verdict.ABSENT: Tone.WARNING}
-_WORST = (Verdict.ABSENT, Verdict.OTHER, Verdict.SAME, Verdict.IDENTICAL)
+_TONES = {
+    Verdict.IDENTICAL: Tone.GOOD,
+    Verdict.SAME: Tone.PLAIN,
+    Verdict.UNKNOWN: Tone.WARNING,
+    Verdict.OTHER: Tone.BAD,
+    Verdict.ABSENT: Tone.WARNING,
+}
+_WORST = (Verdict.ABSENT, Verdict.OTHER, Verdict.UNKNOWN, Verdict.SAME, Verdict.IDENTICAL)
 
 
 def replay_document(found: Compared, *, every: bool = False) -> Document:
@@ -44,7 +50,14 @@ def replay_document(found: Compared, *, every: bool = False) -> Document:
             *([("first", first_words(found))] if first_words(found) else []),
         )
     )
-    blocks.append(table("verdicts", "", ("", "episodes", "share", "95 %"), [_share(one) for one in found.shares]))
+    blocks.append(
+        table(
+            "verdicts",
+            "",
+            ("", "episodes", "share", "95 %"),
+            [_share(one) for one in found.shares if one.episodes or one.verdict is not Verdict.UNKNOWN],
+        )
+    )
     ordered = sorted(found.episodes, key=lambda one: _WORST.index(one.verdict))
     shown = found.episodes if every else ordered[:_SHOWN]
     blocks.append(table("episodes", "", _COLUMNS, [_row(one) for one in shown]).without_empty_columns())
@@ -71,8 +84,12 @@ def verdict(found: Compared) -> str:
     n, counts = len(found.episodes), {one.verdict: one.episodes for one in found.shares}
     if counts[Verdict.IDENTICAL] == n:
         return f"{_all(n)} bit for bit."
-    if not counts[Verdict.OTHER] and not counts[Verdict.ABSENT]:
+    if counts[Verdict.IDENTICAL] + counts[Verdict.SAME] == n:
         return f"{_all(n)} with the same outcome; {counts[Verdict.SAME]} with other bits."
+    if not any(counts[one] for one in _WORDS):
+        return (
+            f"{plural(counts[Verdict.UNKNOWN], 'episode')} of {n} with other bits, and nothing of the outcome is known."
+        )
     other = [f"{counts[one]} {words}" for one, words in _WORDS.items() if counts[one]]
     return f"Of {plural(n, 'episode')}, {' and '.join(other)}."
 
@@ -106,6 +123,8 @@ def warnings(found: Compared) -> Iterator[str]:
         )
     if names := dict.fromkeys(name for one in found.episodes for name in one.rounded):
         yield f"compared in float32, since one of the files holds no more digits: {', '.join(names)}"
+    if any(one.returns[0] is None for one in found.episodes):
+        yield "the original has no rewards: returns were not compared"
     for text in dict.fromkeys(text for one in found.episodes for text in one.not_compared):
         yield f"not compared: {text}"
 
@@ -132,8 +151,11 @@ def _row(of: Judged) -> list[Cell | str]:
         str(of.number),
         Cell(of.verdict.value, tone=_TONES[of.verdict]),
         steps,
-        f"{of.returns[0]:.6g}",
-        NONE if of.verdict is Verdict.ABSENT else f"{of.returns[1]:.6g}",
+        *(
+            NONE if total is None else f"{total:.6g}"
+            for total in of.returns[: 1 if of.verdict is Verdict.ABSENT else 2]
+        ),
+        *([NONE] if of.verdict is Verdict.ABSENT else []),
         first,
         largest,
         _left(of),

@@ -20,12 +20,14 @@ class Verdict(Enum):
 
     IDENTICAL  every observation and reward has the same bits, and the ends are the same
     SAME       bits differ; length, ends, success and, within a tolerance, the return are the same
+    UNKNOWN    bits differ, the length is the same, and the original has neither rewards nor a success
     OTHER      length, ends, success or return differ
     ABSENT     the replay has no such episode
     """
 
     IDENTICAL = "bit-identical"
     SAME = "same outcome"
+    UNKNOWN = "outcome not known"
     OTHER = "other outcome"
     ABSENT = "not replayed"
 
@@ -46,7 +48,7 @@ class Judged:
     env, number    of the environment, and of the episode in it, from 0
     verdict        see Verdict
     steps          of the original and of the replay
-    returns        sums of the rewards of both [unit of the reward]
+    returns        sums of the rewards of both [unit of the reward]; None where the original has no rewards
     ends           of both: "terminated", "truncated", or "cut" where something else ended it
     success        of both; None where no flag was named
     began_alike    whether the first observations have the same bits
@@ -62,7 +64,7 @@ class Judged:
     number: int
     verdict: Verdict
     steps: tuple[int, int]
-    returns: tuple[float, float]
+    returns: tuple[float | None, float | None]
     ends: tuple[str, str]
     success: tuple[bool, bool] | None
     began_alike: bool
@@ -87,10 +89,11 @@ def judge(original: Episode, replay: Episode | None, success: tuple[bool, bool] 
     steps = min(len(original), len(replay))
     whole = not original.ended and len(replay) >= len(original)
     seen = steps + all(one.final_known or len(one) > steps for one in (original, replay))  # observations of both
-    of_both, rounded = _rounded(*(_rows(one, steps, seen) for one in (original, replay)))
+    given = original.rewarded and replay.rewarded
+    of_both, rounded = _rounded(*(_rows(one, steps, seen, rewarded=given) for one in (original, replay)))
     unlike = tuple(_unlike(*of_both))
-    alike = [name for name in of_both[0] if name not in dict(unlike)]
-    compared = compare_arrays(*({name: rows[name] for name in alike} for rows in of_both))
+    both = [name for name in of_both[0] if name not in dict(unlike)]
+    compared = compare_arrays(*({name: rows[name] for name in both} for rows in of_both))
     ends = (_end(original), _end(original if whole else replay))
     lengths = (len(original), steps if whole else len(replay))
     rewards = tuple(
@@ -100,7 +103,7 @@ def judge(original: Episode, replay: Episode | None, success: tuple[bool, bool] 
     bound = tolerance * float(np.abs(rewards[0]).sum())
     returns = float(rewards[0].sum()), float(rewards[1].sum())
     same_end = lengths[0] == lengths[1] and ends[0] == ends[1]
-    same_return = bool(abs(returns[0] - returns[1]) <= bound) or returns[0] == returns[1]
+    same_return = not given or bool(abs(returns[0] - returns[1]) <= bound) or returns[0] == returns[1]
     same_success = success is None or success[0] == success[1]
     same = same_end and same_return and same_success
     left = [
@@ -109,12 +112,13 @@ def judge(original: Episode, replay: Episode | None, success: tuple[bool, bool] 
         *([] if same_success else [lengths[0]]),
     ]
     identical = compared.identical and same and not unlike
+    alike = Verdict.SAME if given or success is not None else Verdict.UNKNOWN
     return Judged(
         env=original.env,
         number=original.number,
-        verdict=Verdict.IDENTICAL if identical else Verdict.SAME if same else Verdict.OTHER,
+        verdict=Verdict.IDENTICAL if identical else alike if same else Verdict.OTHER,
         steps=lengths,
-        returns=returns,
+        returns=returns if given else (None, None),
         ends=ends,
         success=success,
         began_alike=compared.first is None or compared.first.step > 0,
@@ -127,7 +131,7 @@ def judge(original: Episode, replay: Episode | None, success: tuple[bool, bool] 
 
 
 def _absent(original: Episode) -> Judged:
-    total = float(original.rewards.sum(dtype=np.float64))
+    total = float(original.rewards.sum(dtype=np.float64)) if original.rewarded else None
     return Judged(
         env=original.env, number=original.number, verdict=Verdict.ABSENT, steps=(len(original), 0),
         returns=(total, 0.0), ends=(_end(original), "cut"), success=None, began_alike=False, first=None,
@@ -135,12 +139,12 @@ def _absent(original: Episode) -> Judged:
     )  # fmt: skip
 
 
-def _rows(episode: Episode, steps: int, seen: int) -> dict[str, Rows]:
+def _rows(episode: Episode, steps: int, seen: int, *, rewarded: bool) -> dict[str, Rows]:
     # with an axis of one environment, as arrays of recordings have it; actions come first, since they are causes
     return {
         **{name: Rows(array[:steps, np.newaxis], 1) for name, array in episode.actions.items()},
         **{name: Rows(array[:seen, np.newaxis]) for name, array in episode.observations.items()},
-        REWARD: Rows(episode.rewards[:steps, np.newaxis], 1),
+        **({REWARD: Rows(episode.rewards[:steps, np.newaxis], 1)} if rewarded else {}),
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ class Demonstration:
     terminated, truncated  whether the task ended it so at its last step
     seed          of the reset that began it; None where the data set has none
     physics       MuJoCo's "qpos" and "qvel" at each action, [T, ...]; empty where the data set has none
+    rewarded      whether the data set has rewards; zeros stand for them where it has not
+    infos         what the info of each step said, by name, [T]
     """
 
     observations: Arrays
@@ -30,6 +32,8 @@ class Demonstration:
     truncated: bool
     seed: int | None
     physics: Arrays
+    rewarded: bool = True
+    infos: Arrays = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.rewards)

@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.demonstrations.data_set import DataSet, Made
 from gpusimbench.recorder.demonstrations.demonstration import Arrays, Demonstration
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, UsageError
 
@@ -26,26 +26,30 @@ _MOST_METADATA = 1 << 20
 _DEEPEST = 8
 
 
-@dataclass(frozen=True)
-class Made:
-    """How an environment was made, as far as known: id and keywords of Gymnasium's registry, names of wrappers."""
+def opened(path: Path) -> DataSet | None:
+    """The data set in a file, by its suffix, or in the folder of a Minari data set; None for anything else."""
+    file = path if not path.is_dir() and path.suffix in (".hdf5", ".h5") and path.exists() else None
+    if path.is_dir():
+        file = next((one for one in (path / MINARI_FILE, path / "data" / MINARI_FILE) if one.is_file()), None)
+    if file is None:
+        return None
+    found = file
+    return DataSet(
+        path=file,
+        name=_name(file),
+        version=file.suffix.removeprefix("."),
+        files=(file,),
+        read=lambda most, space: read(found, most),
+        made=made(file),
+    )
 
-    spec_id: str = ""
-    keywords: dict[str, Any] = field(default_factory=dict)
-    wrappers: tuple[str, ...] = ()
 
-
-def file_of(path: Path) -> Path | None:
-    """The HDF5 file of a data set: a file by its suffix, or the folder of a Minari data set; None for anything else.
-
-    UsageError for a folder without the file of a Minari data set.
-    """
-    if not path.is_dir():
-        return path if path.suffix in (".hdf5", ".h5") and path.exists() else None
-    for one in (path / MINARI_FILE, path / "data" / MINARI_FILE):
-        if one.is_file():
-            return one
-    raise UsageError(f"{path} is a folder without {MINARI_FILE}: give the folder of a Minari data set, or a file")
+def _name(file: Path) -> str:
+    """Of a file, or of the folder in which a Minari file lies."""
+    if file.name != MINARI_FILE:
+        return file.stem
+    folders = [one for one in file.resolve().parents if one.name != "data"]
+    return folders[0].name or "data"
 
 
 def made(path: Path) -> Made:

@@ -11,18 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.demonstrations.data_set import DataSet
 from gpusimbench.recorder.demonstrations.demonstration import Demonstration
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.fields import field_of, recorded_dtype
+from gpusimbench.recorder.vector.infos import GIVEN, array_name
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
-from gpusimbench.schemas.vector import FINAL_GIVEN, PHYSICS, SEEDS
+from gpusimbench.schemas.vector import FINAL_GIVEN, NOT_GIVEN, PHYSICS, SEEDS
 
 SIMULATOR = "dataset"
 _AT_ONCE = 16  # environments, over which episodes are dealt
 _ROWS = 50
+_BLOCK = 1 << 20  # bytes that are read at a time
 _FLAGS = ("terminated", "truncated", "stepped", "episode", "episode_step", FINAL_GIVEN)
 _NOT_KNOWN = f"where {FINAL_GIVEN} is 0, the data set lacks it, and the observation before it stands there"
 
@@ -32,7 +35,7 @@ Columns = dict[str, NDArray[Any]]
 def write(
     demonstrations: Sequence[Demonstration],
     path: Path,
-    source: Path,
+    source: DataSet,
     *,
     spec_id: str,
     keywords: Mapping[str, Any],
@@ -41,7 +44,7 @@ def write(
     """Write a recording in which 16 environments at most go through the episodes, dealt in their order.
 
     path      of the recording
-    source    the data set's file, whose name and SHA-256 the recording has
+    source    the data set, of whose files the recording has the SHA-256, one after another
     spec_id, keywords  of the environment, for Gymnasium's registry
     dt        simulated time of a step [s]
 
@@ -49,16 +52,19 @@ def write(
     """
     n_env = min(_AT_ONCE, len(demonstrations))
     dealt = [list(demonstrations[env::n_env]) for env in range(n_env)]
-    columns = _columns(dealt, source)
+    columns = _columns(dealt, source.path)
+    rewarded = all(one.rewarded for one in demonstrations)
     steps = len(columns["reward"]) - 1
     notes = {name: [_NOT_KNOWN] for name in columns if name.startswith("final_observation")}
+    if not rewarded:
+        notes["reward"] = ["the data set has no rewards; 0 stands for them"]
     fields = [
         field_of(
             name,
             array.dtype,
             array.shape[2:],
             *notes.get(name, []),
-            unit=DIMENSIONLESS if name in _FLAGS else UNKNOWN,
+            unit=DIMENSIONLESS if name in _FLAGS or name.endswith(GIVEN) else UNKNOWN,
         )
         for name, array in columns.items()
     ]
@@ -66,14 +72,18 @@ def write(
     if any(one.seed is not None for one in demonstrations):
         seeds = [[one.seed for one in of_env] for of_env in dealt]
         attached[SEEDS] = ("application/json", json.dumps(seeds).encode())
-    with source.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    digest = hashlib.sha256()
+    for one in source.files:
+        with one.open("rb") as file:
+            while block := file.read(_BLOCK):
+                digest.update(block)
     with RecordingWriter(
-        path, simulator=SIMULATOR, version=source.suffix.removeprefix("."), scene=spec_id, n_env=n_env, dt=dt,
+        path, simulator=SIMULATOR, version=source.version, scene=spec_id, n_env=n_env, dt=dt,
         steps=steps, fields=fields, view=(), compression="zstd", attachments=attached,
         options={
             "autoreset_mode": Mode.DISABLED.value, SPEC_ID: spec_id, KEYWORDS: json.dumps(keywords, sort_keys=True),
-            "seeds": "not given", "source": source.name, "source_sha256": digest,
+            "seeds": "not given", "source": source.path.name or source.name, "source_sha256": digest.hexdigest(),
+            **({} if rewarded else {NOT_GIVEN: "reward"}),
         },
     ) as log:  # fmt: skip
         for begin in range(0, steps + 1, _ROWS):
@@ -89,6 +99,11 @@ def _columns(dealt: Sequence[Sequence[Demonstration]], source: Path) -> Columns:
     kinds |= {name.replace("observation", "final_observation", 1): array for name, array in first.observations.items()}
     kinds |= {f"{PHYSICS}{name}": array for name, array in first.physics.items()}
     found = {name: np.zeros((rows, n_env, *array.shape[1:]), array.dtype) for name, array in kinds.items()}
+    for name in first.infos:
+        found |= {
+            array_name(name): np.zeros((rows, n_env)),
+            f"{array_name(name)}{GIVEN}": np.zeros((rows, n_env), bool),
+        }
     found["reward"] = np.zeros((rows, n_env), first.rewards.dtype)
     found |= {name: np.zeros((rows, n_env), np.int32 if "episode" in name else np.bool_) for name in _FLAGS}
     for env, of_env in enumerate(dealt):
@@ -116,6 +131,9 @@ def _put(columns: Columns, env: int, at: int, number: int, one: Demonstration, s
         columns[FINAL_GIVEN][at + n, env] = len(array) > n
     given |= {f"{PHYSICS}{name}": (before, array) for name, array in one.physics.items()}
     given["reward"] = (after, one.rewards)
+    for name, array in one.infos.items():
+        given[array_name(name)] = (after, array.astype(np.float64))
+        given[f"{array_name(name)}{GIVEN}"] = (after, np.ones(n, bool))
     for name, (rows, array) in given.items():
         column = columns.get(name)
         if column is None or column.shape[2:] != array.shape[1:] or column.dtype != array.dtype:

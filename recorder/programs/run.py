@@ -14,6 +14,7 @@ from pathlib import Path
 
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.process.launch import Interruptions, how_it_died, last_line
+from gpusimbench.recorder.programs.descendants import end_all
 from gpusimbench.recorder.programs.folder import VARIABLE, describe
 from gpusimbench.recorder.programs.memory import ProgramMemory
 from gpusimbench.schemas import PARTIAL
@@ -65,7 +66,9 @@ def new_folder(out: Path) -> Path:
 def run_program(
     command: Sequence[str], folder: Path, *, time_limit: float, gpus: Gpus, interruptions: Interruptions
 ) -> ProgramRun:
-    """Run a program to its end; what it started ends with it, but for processes that made sessions of their own.
+    """Run a program to its end; what it started ends with it, and so do all other processes of this one.
+
+    On Linux, what made a session of its own ends, too, where this process has adopted it (descendants.adopt).
 
     command     the program and its arguments
     folder      of the run; the environment variable VARIABLE names it to the program
@@ -93,6 +96,7 @@ def run_program(
         _send(child, signal.SIGKILL)  # also what it left running
         child.wait()
         interruptions.follow(None)
+        end_all()
         memory.stop()
     status, reason = _end(child.returncode, late, interruptions.count > 0, time_limit, folder)
     return ProgramRun(

@@ -36,6 +36,11 @@ def nothing_told(names: tuple[str, ...], n_env: int) -> Arrays:
     }
 
 
+def given(info: Mapping[str, Any], name: str, n_env: int) -> NDArray[np.bool_]:
+    """Of which environments an info is, [env]; UsageError as told."""
+    return _scalar(info, name, n_env)[1]
+
+
 def told(
     names: tuple[str, ...], info: Mapping[str, Any], mode: Mode, done: NDArray[np.bool_], stepped: NDArray[np.bool_]
 ) -> Arrays:

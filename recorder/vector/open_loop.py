@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.fields import field_of
+from gpusimbench.recorder.vector.infos import given
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.recorder.vector.part import ACTION, Part, State
 from gpusimbench.recorder.vector.starts import begin_at
 from gpusimbench.recorder.vector.wrap import wrap
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.text import few
 from gpusimbench.schemas.trees import leaves, mapped
+
+_SHOWN = 8  # numbers of an action, in an error
 
 
 @dataclass
@@ -50,7 +55,14 @@ class _Place:
 
 
 def replay(
-    envs: Any, path: Path, parts: Sequence[Sequence[Part]], *, seed: Any, infos: Sequence[str] = (), dt: float
+    envs: Any,
+    path: Path,
+    parts: Sequence[Sequence[Part]],
+    *,
+    seed: Any,
+    infos: Sequence[str] = (),
+    needed: str = "",
+    dt: float,
 ) -> None:
     """Reset an environment, feed it the actions of every episode in order, and record what it does.
 
@@ -59,11 +71,13 @@ def replay(
     parts  the episodes of each environment, [env][episode]
     seed   of the first reset: a number, one for each environment, or None
     infos  as of wrap
+    needed  an info that some environment gives in its first step; an empty one: none is needed
     dt     as of wrap [s]; physics is recorded where parts begin in states
 
     An environment whose episode ends earlier than its actions goes on with its next episode. With the autoreset mode
     Disabled, one whose episode has not ended after its last action is reset; in other modes it is fed the last action
-    again, and has no further episodes. UsageError where the environment takes other actions.
+    again, and has no further episodes. UsageError where the environment takes other actions, or does not give the info
+    that is needed.
     """
     mode = mode_of(envs)
     if envs.num_envs != len(parts):
@@ -78,12 +92,15 @@ def replay(
     physics = any(part.state is not None for of_env in parts for part in of_env)
     with wrap(envs, path, steps=steps, dt=dt, infos=infos, physics=physics) as recorded:
         form = _Form(recorded.action_space)
+        form.check(part for of_env in parts for part in of_env)
         begin_at(envs, _starts(places))
         recorded.reset(seed=seed)
         for step in range(1, steps + 1):
             ended = np.array([place.ended for place in places])
             rows = [place.last if place.ended else place.take() for place in places]
-            _, _, terminated, truncated, _ = recorded.step(form.filled(rows))
+            _, _, terminated, truncated, info = recorded.step(form.filled(rows))
+            if needed and step == 1 and not given(info, needed, envs.num_envs).any():
+                raise UsageError(f"the environment gives no info {needed}, which was recorded from the first step on")
             if mode is Mode.NEXT_STEP:
                 for place in (place for place, over in zip(places, ended, strict=True) if over):
                     place.begin()
@@ -117,11 +134,19 @@ class _Form:
     """How an environment takes actions: arrays in the order of its action space, nested as that is."""
 
     def __init__(self, space: Any) -> None:
-        self._sample = space.sample()
+        self._space, self._sample = space, space.sample()
         self._leaves = [
             (field_of(name, np.asarray(value).dtype, np.shape(value)[1:]).field, np.shape(value)[1:])
             for name, value in leaves(self._sample, ACTION)
         ]
+
+    def check(self, parts: Iterable[Part]) -> None:
+        """UsageError where real numbers were recorded and the environment takes integers, or not those."""
+        of_array = {name: array for part in parts for name, array in part.actions.items()}  # all of one dtype
+        for name, value in leaves(self._sample, ACTION):
+            array = of_array.get(field_of(name, np.asarray(value).dtype, ()).field)
+            if array is not None and array.dtype.kind == "f" and np.asarray(value).dtype.kind != "f":
+                raise UsageError(f"the environment takes integers as {name}, and real numbers were recorded")
 
     def filled(self, rows: Sequence[Mapping[str, NDArray[Any]]]) -> Any:
         """Actions of one step, from those of each environment by name."""
@@ -136,4 +161,7 @@ class _Form:
                 )
             arrays.append(found.reshape(len(rows), *shape))
         remaining = iter(arrays)
-        return mapped(lambda _: next(remaining), self._sample)
+        made = mapped(lambda _: next(remaining), self._sample)
+        if isinstance(self._space, gymnasium.spaces.MultiDiscrete) and not self._space.contains(made):
+            raise UsageError(f"the environment has no action {few(list(map(str, np.ravel(made))), _SHOWN)}")
+        return made

@@ -11,6 +11,9 @@ SPEC_ID, KEYWORDS, WRAPPERS, VECTORIZED = "env_id", "env_kwargs", "env_wrappers"
 NOT_JSON = "no JSON"
 """What stands for keywords that are no plain values, such as functions."""
 
+_ONLY_WATCH = ("stable_baselines3.common.monitor:Monitor",)
+"""Wrappers that change no number that an environment is given or returns."""
+
 _OF_THE_VECTOR = ("num_envs", "vectorization_mode", "vector_kwargs", "wrappers")
 
 
@@ -30,7 +33,7 @@ def origin_of(envs: Any) -> dict[str, str]:
     if spec.max_episode_steps is not None:
         given.setdefault("max_episode_steps", spec.max_episode_steps)
     wrappers = [
-        *(wrapper.name for wrapper in spec.additional_wrappers),
+        *(wrapper.name for wrapper in spec.additional_wrappers if wrapper.entry_point not in _ONLY_WATCH),
         *(
             getattr(wrapper, "__name__", type(wrapper).__name__)
             for wrapper in of_vector.get("wrappers", ())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,10 +22,10 @@ def wrap(
     dt: float | None = None,
     infos: Sequence[str] = (),
     physics: bool = False,
-) -> Recorded:
+) -> Recorded | Any:
     """Record a Gymnasium VectorEnv while it is used: the same interface, and a file.
 
-    envs   the vector environment, of Gymnasium 1.0 or later
+    envs   the vector environment, of Gymnasium 1.0 or later, or the VecEnv of Stable-Baselines3 2
     path   of the recording, which must not exist, in a folder that does; a relative path lies in the folder of the run
            where gsb-run runs the program
     steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on
@@ -40,6 +41,8 @@ def wrap(
     environment. physics gives physics_qpos and physics_qvel, the state of the observation. Units are unknown.
     Recordings of fewer steps end as failed when the environment is closed.
 
+    A VecEnv gives a VecEnv: the seeds are those that its method seed was given, and the autoreset mode is SameStep.
+
     Returns the wrapped environment. Raises UsageError where steps or dt cannot be, dt or the autoreset mode is not
     known, or physics of another task is asked for.
     """
@@ -47,6 +50,11 @@ def wrap(
 
     if isinstance(infos, str):
         raise UsageError(f'infos is a list of names, such as ("{infos}",)')
+    if _is_vec_env(envs):
+        from gpusimbench.recorder.vector.stable_baselines import AsGymnasium, RecordedVecEnv
+
+        inner = AsGymnasium(envs, infos)
+        return RecordedVecEnv(wrap(inner, path, steps=steps, dt=dt, infos=infos, physics=physics))
     told = dt if dt is not None else step_of(envs)
     if steps < 1:
         raise UsageError(f"at least 1 step is recorded, not {steps}")
@@ -61,6 +69,12 @@ def step_of(envs: Any) -> float:
     if told is None:
         raise UsageError("the environment does not say what simulated time a step takes: give dt [s]")
     return float(told)
+
+
+def _is_vec_env(envs: Any) -> bool:
+    # there is none where Stable-Baselines3 was not imported
+    module = sys.modules.get("stable_baselines3.common.vec_env")
+    return module is not None and isinstance(envs, module.VecEnv)
 
 
 def _told(envs: Any) -> Iterator[float]:

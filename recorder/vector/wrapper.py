@@ -143,7 +143,10 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             raise UsageError("a vector environment is reset before it is stepped")
         (seen, seed), n_env = self._start, self.num_envs
         given = {name: np.zeros_like(array) for name, array in actions.items()}
-        of_step = {"reward": np.zeros(n_env), **{name: np.zeros(n_env, dtype=np.bool_) for name in _FLAGS}}
+        of_step = {
+            "reward": np.zeros(n_env, getattr(self.env, "reward_dtype", None)),
+            **{name: np.zeros(n_env, dtype=np.bool_) for name in _FLAGS},
+        }
         facts = {"stepped": np.zeros(n_env, dtype=np.bool_), **self._counts()}
         of_info = nothing_told(self._infos, n_env)
         row = {**given, **seen, **of_step, **_final(seen), **facts, **of_info}

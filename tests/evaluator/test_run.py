@@ -180,6 +180,48 @@ with RecordingWriter(
     wait_for(lambda: not psutil.pid_exists(child) or psutil.Process(child).status() == psutil.STATUS_ZOMBIE)
 
 
+def test_processes_in_sessions_of_their_own_end_with_the_run(tmp_path: Path) -> None:
+    """Kill what a program started by setsid, also where the process between has ended."""
+    asleep = ["sleep", f"5432.{os.getpid()}"]
+    one = f"setsid -f {' '.join(asleep)}"  # whose parent ends at once
+    text = f"{one}; setsid sh -c '{one}; exec {' '.join(asleep)}' & sleep 0.3"
+    gsb_run(tmp_path, ["sh", "-c", text], code=ExitCode.NOTHING_COMPARABLE)
+    left = [process for process in psutil.process_iter(["cmdline"]) if process.info["cmdline"] == asleep]
+    for process in left:
+        process.kill()
+    assert left == []
+
+
+_BAD = """
+number = os.environ["GSB_RUN"][-1]
+record("a.mcap", sys.argv[2] or number)
+if number == sys.argv[1]:
+    open(os.environ["GSB_RUN"] + "/b.mcap", "w").write("b")
+else:
+    record("b.mcap", 2)
+"""
+
+
+@pytest.mark.parametrize(
+    ("bad", "other", "compared", "code"),
+    [
+        ("1", "1", [("a.mcap", 1)], ExitCode.DATA_LOST),
+        pytest.param(
+            "2", "1", [("a.mcap", 1), ("a.mcap", 2), ("b.mcap", 1)], ExitCode.DATA_LOST, marks=pytest.mark.slow
+        ),
+        pytest.param("0", "", [("a.mcap", 1)], ExitCode.GATE_FAILED, marks=pytest.mark.slow),
+    ],
+)
+def test_a_file_that_is_no_recording(bad: str, other: str, compared: Any, code: ExitCode, tmp_path: Path) -> None:
+    """Name the run that wrote it, compare all else, and end with 3, or with 4 where other recordings differ."""
+    runs = "3" if bad == "2" else "2"
+    said, found = gsb_run(tmp_path, [*program(tmp_path, _BAD), bad, other], "--runs", runs, code=code)
+    assert [(one["name"], one["run"]) for one in found["compared"]] == compared
+    (told,) = found["damaged"]
+    assert told.startswith(f"run {bad}: ") and "b.mcap" in told and not found["all_compared"]
+    assert f"no recording: {told}" in said
+
+
 def test_wrong_usage(tmp_path: Path) -> None:
     """Refuse what cannot be run, leave no folder of it, and number runs on."""
     assert "there is no program nowhere" in call("gsb-run", "nowhere", cwd=tmp_path, code=ExitCode.USAGE).stderr

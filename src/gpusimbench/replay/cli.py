@@ -24,7 +24,7 @@ _REQUIRED = ("bit-identical", "same-outcome")
 _EPILOG = """\
 The recorded actions are fed, open loop, to an environment that is made again and reset with the recorded seeds; what it
 does is recorded, and compared episode by episode. Recordings are those of gpusimbench.wrap. gsb-audit replays those of
-gsb-record. A data set in HDF5 becomes a recording first, NAME.mcap in the present folder.
+gsb-record. A data set becomes a recording first, NAME.mcap in the present folder.
 
 Code runs only if you have it installed or name it: from a file come the id of Gymnasium's registry and keywords that
 are no paths, and --make imports your own module.
@@ -32,6 +32,7 @@ are no paths, and --make imports your own module.
 verdicts, strongest first:
   bit-identical   every observation and reward has the same bits, and the episode ends at the same step
   same outcome    bits differ; length, end, success and, within --tolerance, the return are the same
+  outcome not known  bits differ, and the data set has neither rewards nor the info of --success
   other outcome   one of these differs
   not replayed    the replay has no such episode
 
@@ -47,6 +48,7 @@ examples:
   gsb-replay demos.mcap
   gsb-replay demos.mcap --set frame_skip=4 --require same-outcome
   gsb-replay hopper_medium-v2.hdf5 --env Hopper-v5 --episodes 100
+  gsb-replay lerobot/pusht --env gym_pusht/PushT-v0 --success is_success
   gsb-replay demos.mcap --make my_task:make --success success
   gsb-replay demos.mcap --against replay-of-another-machine.mcap --json -
 """
@@ -62,7 +64,7 @@ def parser() -> Parser:
     )
     p.add_argument(
         "file", type=place, metavar="FILE",
-        help="recording (.mcap) of gpusimbench.wrap, D4RL file (.hdf5), or folder of a Minari data set",
+        help="recording (.mcap) of gpusimbench.wrap, D4RL file (.hdf5), or folder of a Minari or LeRobot data set",
     )  # fmt: skip
     how = p.add_mutually_exclusive_group()
     how.add_argument("--env", metavar="ID", help="environment of Gymnasium's registry (default: the recorded one)")
@@ -106,25 +108,28 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Replay, compare and print; returns the exit code."""
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.render.terminal import print_document
-    from gpusimbench.evaluator.replays.comparison import compare
+    from gpusimbench.evaluator.replays.comparison import compare, successes_of
     from gpusimbench.evaluator.replays.document import dump_json, replay_document
-    from gpusimbench.recorder.demonstrations.hdf5 import file_of
+    from gpusimbench.recorder.demonstrations.formats import data_set_at
     from gpusimbench.replay.dataset import converted
     from gpusimbench.replay.parts import infos_of
 
     check_target(arguments.json)
-    source = file_of(arguments.file) if isinstance(arguments.file, Path) else None
+    _check_out(arguments.out)
+    source = data_set_at(arguments.file) if isinstance(arguments.file, Path) else None
     if not 0 <= arguments.tolerance < float("inf"):
         raise UsageError(f"--tolerance is a share of at least 0, not {arguments.tolerance}")
     if arguments.against and (arguments.keywords or arguments.out):
         raise UsageError("--against replays nothing: --set and --out have no use")
     if arguments.episodes is not None and source is None:
-        raise UsageError("--episodes is of data sets in HDF5; of a recording, all episodes are replayed")
+        raise UsageError("--episodes is of data sets; of a recording, all episodes are replayed")
     if arguments.make and arguments.keywords:
         raise UsageError("--set is of environments of Gymnasium's registry: put it into the function of --make")
     (original,) = verified([arguments.file if source is None else converted(source, arguments)])
     success = arguments.success or ("success" if "success" in infos_of(original) else None)
-    made = arguments.against or place(str(_replayed(original, arguments)))
+    if success:
+        successes_of(original, success, At(arguments.success_at))  # what it lacks is said before anything is replayed
+    made = arguments.against or place(str(_replayed(original, arguments, success)))
     (replay,) = verified([made])
     with stage("comparing episodes"):
         found = compare(original, replay, success=success, at=At(arguments.success_at), tolerance=arguments.tolerance)
@@ -135,10 +140,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return int(_exit_code(found, arguments.require))
 
 
-def _replayed(original: Recording, arguments: argparse.Namespace) -> Path:
+def _replayed(original: Recording, arguments: argparse.Namespace, success: str | None) -> Path:
     from gpusimbench.replay.dataset import require_gymnasium
     from gpusimbench.replay.origin import given, origin_of
-    from gpusimbench.replay.parts import infos_of, parts_of, seed_of
+    from gpusimbench.replay.parts import given_at_first, infos_of, parts_of, seed_of
 
     require_gymnasium()
     from gpusimbench.recorder.vector.making import of_factory, registered
@@ -154,9 +159,14 @@ def _replayed(original: Recording, arguments: argparse.Namespace) -> Path:
         words = ", ".join(f"{name}={value!r}" for name, value in origin.keywords.items())
         _say(f"replaying in {n_env} environments {origin.spec_id}({words})")
         envs = registered(origin.spec_id, origin.keywords, n_env, vectorization=origin.vectorization)
+    how = {"seed": seed_of(original), "infos": infos_of(original), "dt": original.configuration.dt}
+    needed = success if success and given_at_first(original, success) else ""
     with stage("replaying episodes"):
         try:
-            replay(envs, path, parts, seed=seed_of(original), infos=infos_of(original), dt=original.configuration.dt)
+            replay(envs, path, parts, needed=needed, **how)
+        except UsageError:
+            path.unlink(missing_ok=True)  # of a step that could not be used
+            raise
         except GsbError:
             raise
         except Exception as error:  # of the environment, whatever its kind
@@ -167,9 +177,15 @@ def _replayed(original: Recording, arguments: argparse.Namespace) -> Path:
 def _target(original: Recording, named: Path | None) -> Path:
     """Where the replay is recorded; UsageError where a file is there."""
     path = named or Path(f"{Path(str(original.path)).name.removesuffix('.mcap')}-replay.mcap")
-    if path.exists():
-        raise UsageError(f"{path} exists: name another file with --out")
+    _check_out(path)
     return path
+
+
+def _check_out(path: Path | None) -> None:
+    if path is not None and path.exists():
+        raise UsageError(f"{path} exists: name another file with --out")
+    if path is not None and not path.parent.is_dir():
+        raise UsageError(f"--out takes the file to write; {path} is in no folder that exists ({path.parent})")
 
 
 def _exit_code(found: Compared, required: str) -> ExitCode:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gpusimbench.recorder.demonstrations.hdf5 import MINARI_FILE, made, read
+from gpusimbench.recorder.demonstrations.data_set import DataSet
 from gpusimbench.replay.origin import Origin, given, told_or_named
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.progress import stage
 
 
-def converted(source: Path, arguments: argparse.Namespace) -> Path:
+def converted(source: DataSet, arguments: argparse.Namespace) -> Path:
     """Write the recording of a data set; returns its path. UsageError where that is there, or the task is not known."""
     require_gymnasium()
     from gpusimbench.recorder.demonstrations.writing import write
@@ -22,32 +22,25 @@ def converted(source: Path, arguments: argparse.Namespace) -> Path:
         raise UsageError("a data set is replayed in an environment of Gymnasium's registry: give --env")
     if arguments.episodes is not None and arguments.episodes < 1:
         raise UsageError(f"--episodes is at least 1, not {arguments.episodes}")
-    path = Path(f"{name_of(source)}.mcap")
+    path = Path(f"{source.name}.mcap")
     if path.exists():
         raise UsageError(f"{path} exists: give it instead of the data set, or remove it")
-    told, named = made(source), given(arguments.keywords)
+    told, named = source.made, given(arguments.keywords)
     if told.wrappers and not arguments.env:
         raise UsageError(
-            f"{source} was made with the wrappers {', '.join(told.wrappers)}: give --env to go without them"
+            f"{source.path} was made with the wrappers {', '.join(told.wrappers)}: give --env to go without them"
         )
-    origin = told_or_named(str(source), Origin(told.spec_id, told.keywords), arguments.env, named)
+    origin = told_or_named(str(source.path), Origin(told.spec_id, told.keywords), arguments.env, named)
     envs = registered(origin.spec_id, origin.keywords, 1)
     try:
-        dt = step_of(envs)
+        space, dt = envs.single_observation_space, source.dt or step_of(envs)
     finally:
         envs.close()
     with stage("reading the data set"):
         keywords = told.keywords if origin.spec_id == told.spec_id else {}  # those of the original
-        write(read(source, arguments.episodes), path, source, spec_id=origin.spec_id, keywords=keywords, dt=dt)
+        episodes = source.read(arguments.episodes, space)
+        write(episodes, path, source, spec_id=origin.spec_id, keywords=keywords, dt=dt)
     return path
-
-
-def name_of(source: Path) -> str:
-    """The name of a data set: that of its file, or of the folder in which a Minari file lies."""
-    if source.name != MINARI_FILE:
-        return source.stem
-    folders = [one for one in source.resolve().parents if one.name != "data"]
-    return folders[0].name or "data"
 
 
 def require_gymnasium() -> None:

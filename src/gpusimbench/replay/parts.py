@@ -11,7 +11,8 @@ import numpy as np
 from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes, rows_of
 from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.recorder.vector.infos import GIVEN
+from gpusimbench.recorder.vector.fields import field_of
+from gpusimbench.recorder.vector.infos import GIVEN, array_name
 from gpusimbench.recorder.vector.part import ACTION, Part, State
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
 from gpusimbench.schemas.fields import ENV
@@ -40,6 +41,14 @@ def infos_of(recording: Recording) -> tuple[str, ...]:
         return tuple(told.split(", "))
     names = [one.field for one in recording.fields if one.group == ENV and one.field.startswith(_INFO)]
     return tuple(name.removeprefix(_INFO) for name in names if not name.endswith(GIVEN))
+
+
+def given_at_first(recording: Recording, info: str) -> bool:
+    """Whether some environment gave a recorded info in its first step."""
+    if info not in infos_of(recording) or recording.configuration.steps < 1:
+        return False
+    name = field_of(array_name(info) + GIVEN, np.dtype(np.bool_), ()).field
+    return bool((recording.state(ENV, name)[1] != 0).any())
 
 
 def parts_of(recording: Recording) -> list[list[Part]]:

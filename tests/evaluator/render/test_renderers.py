@@ -303,6 +303,14 @@ def test_a_wide_table_stands_sideways_in_a_terminal_and_loses_nothing() -> None:
         assert all(f"{r}.{c} of many" in shown for c in range(30))
 
 
+def test_long_lines_of_a_fact_hang_below_its_first_word() -> None:
+    """Wrap the first line of a fact and its further lines to the same column."""
+    long = "word " * 60
+    lines = printed(Document("", (facts(("runs", Cell(f"0: {long}", notes=(f"1: {long}",)))),))).splitlines()
+    assert len(lines) >= 6
+    assert {len(one) - len(one.lstrip()) for one in lines[1:]} == {len("  runs  ")}
+
+
 @pytest.mark.parametrize("length", [10, 47, 48, 90])
 def test_a_long_name_takes_no_room_that_others_need(length: int) -> None:
     rows = [["n" * length, *(f"value-of-column-{c}" for c in range(5))], ["m", "1", "2", "3", "4", "5"]]

@@ -1,0 +1,42 @@
+"""A data set of demonstrations on this machine, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gpusimbench.recorder.demonstrations.demonstration import Demonstration
+
+
+@dataclass(frozen=True)
+class Made:
+    """How an environment was made, as far as known: id and keywords of Gymnasium's registry, names of wrappers."""
+
+    spec_id: str = ""
+    keywords: dict[str, Any] = field(default_factory=dict)
+    wrappers: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """What a format says of a path; nothing but metadata is read until `read` is called.
+
+    path     file or folder, for errors
+    name     of the recording that is made of it
+    version  of the format, for that recording
+    files    all that is read, in order
+    read     the episodes, in order: a number of them at most, or all (None), with arrays named as those of an
+             environment that has the given space of observations
+    made     how its environment was made
+    dt       time between two frames [s]; None where it is not known
+    """
+
+    path: Path
+    name: str
+    version: str
+    files: tuple[Path, ...]
+    read: Callable[[int | None, Any], list[Demonstration]]
+    made: Made = field(default_factory=Made)
+    dt: float | None = None
