@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from gpusimbench.recorder.vector.device import states
+from gpusimbench.recorder.vector.device.states import is_functional
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.schemas.errors import UsageError
-
-if TYPE_CHECKING:
-    from gpusimbench.recorder.vector.wrapper import Recorded
 
 
 def wrap(
@@ -21,16 +20,19 @@ def wrap(
     dt: float | None = None,
     infos: Sequence[str] = (),
     physics: bool = False,
-) -> Recorded:
-    """Record a Gymnasium VectorEnv while it is used: the same interface, and a file.
+) -> Any:
+    """Record vector environments while they are used: the same interface, and a file.
 
-    envs   the vector environment, of Gymnasium 1.0 or later
+    envs   a VectorEnv of Gymnasium 1.0 or later; or a functional environment on JAX, such as those of Brax and MuJoCo
+           Playground in their wrappers for training: reset(rng) gives a state, step(state, action) the next one
     path   of the recording, which must not exist, in a folder that does; a relative path lies in the folder of the run
            where gsb-run runs the program
     steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on
     dt     simulated time of a step [s]; None: what the task says of it (dt, step_dt, or render_fps of its metadata)
-    infos  scalars of the infos that are recorded, such as "success"; "a/b" is b in the dictionary a
-    physics  whether MuJoCo's qpos and qvel are recorded, for gsb-replay: of tasks of Gymnasium in this process
+    infos  scalars of the infos that are recorded, such as "success"; "a/b" is b in the dictionary a. Of functional
+           environments, keys of the metrics and infos of the state
+    physics  whether MuJoCo's qpos and qvel are recorded, for gsb-replay: of tasks of Gymnasium in this process, and of
+           functional environments
 
     Row 0 is the reset, row k the k-th call of step, of every environment:
     action, observation (that the next action is for), reward, terminated, truncated, final_observation (what step
@@ -40,27 +42,41 @@ def wrap(
     environment. physics gives physics_qpos and physics_qvel, the state of the observation. Units are unknown.
     Recordings of fewer steps end as failed when the environment is closed.
 
+    Of functional environments, reset and step are compiled by jax.jit, and rows stay on the device until a block of 50
+    is full; nothing waits for the device in a step. Where a wrapper resets environments within step, their last
+    observations are not known: final_observation_given is 0 there.
+
     Returns the wrapped environment. Raises UsageError where steps or dt cannot be, dt or the autoreset mode is not
     known, or physics of another task is asked for.
     """
-    from gpusimbench.recorder.vector.wrapper import Recorded
-
     if isinstance(infos, str):
         raise UsageError(f'infos is a list of names, such as ("{infos}",)')
-    told = dt if dt is not None else step_of(envs)
     if steps < 1:
         raise UsageError(f"at least 1 step is recorded, not {steps}")
+    names = tuple(dict.fromkeys(infos))
+    if is_functional(envs):
+        from gpusimbench.recorder.vector.device.functional import RecordedFunctional
+
+        told = given_or(dt, states.step_of(envs))
+        return RecordedFunctional(envs, path, steps=steps, dt=told, infos=names, physics=physics)
+    told = given_or(dt, next(_told(envs), None))
     if mode_of(envs) is Mode.NONE:
         raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
-    return Recorded(envs, path, steps=steps, dt=float(told), infos=tuple(dict.fromkeys(infos)), physics=physics)
+    from gpusimbench.recorder.vector.wrapper import Recorded
+
+    return Recorded(envs, path, steps=steps, dt=told, infos=names, physics=physics)
 
 
 def step_of(envs: Any) -> float:
     """Simulated time of a step of a vector environment [s]; UsageError where it does not say."""
-    told = next(_told(envs), None)
-    if told is None:
+    return given_or(None, next(_told(envs), None))
+
+
+def given_or(dt: float | None, told: float | None) -> float:
+    """The time step that was given, or else the task's own [s]; UsageError where there is neither."""
+    if dt is None and told is None:
         raise UsageError("the environment does not say what simulated time a step takes: give dt [s]")
-    return float(told)
+    return float(told if dt is None else dt)  # type: ignore[arg-type]
 
 
 def _told(envs: Any) -> Iterator[float]:
