@@ -21,8 +21,8 @@ _TRACED = (
 class RecordedFunctional:
     """See gpusimbench.wrap, which makes it. All else than reset, step and close is the environment's own.
 
-    reset and step are those of the environment, compiled by jax.jit. The rows of steps stay on the device; the
-    recording begins with the first call of step, in the state that it is given.
+    reset and step are those of the environment, compiled by jax.jit if they are not yet. The rows of steps stay on the
+    device; the recording begins with the first call of step, in the state that it is given.
     """
 
     def __init__(
@@ -32,7 +32,7 @@ class RecordedFunctional:
 
         self._env = env
         self._path, self._steps, self._dt, self._infos, self._physics = path, steps, dt, infos, physics
-        self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
+        self._reset, self._step = (f if hasattr(f, "lower") else jax.jit(f) for f in (env.reset, env.step))
         self._log = DeviceLog(JaxRows(), steps)
         self._layout: states.Layout | None = None
         self._key: Any = None  # of the state that the last call of step returned
