@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.recorder.vector.device import states
+from gpusimbench.recorder.vector.device import states, tensors
 from gpusimbench.recorder.vector.device.states import is_functional
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.schemas.errors import UsageError
@@ -23,8 +23,9 @@ def wrap(
 ) -> Any:
     """Record vector environments while they are used: the same interface, and a file.
 
-    envs   a VectorEnv of Gymnasium 1.0 or later; or a functional environment on JAX, such as those of Brax and MuJoCo
-           Playground in their wrappers for training: reset(rng) gives a state, step(state, action) the next one
+    envs   a VectorEnv of Gymnasium 1.0 or later; an environment of ManiSkill, Isaac Lab or mjlab; or a functional
+           environment on JAX, such as those of Brax and MuJoCo Playground in their wrappers for training: reset(rng)
+           gives a state, step(state, action) the next one
     path   of the recording, which must not exist, in a folder that does; a relative path lies in the folder of the run
            where gsb-run runs the program
     steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on
@@ -42,9 +43,10 @@ def wrap(
     environment. physics gives physics_qpos and physics_qvel, the state of the observation. Units are unknown.
     Recordings of fewer steps end as failed when the environment is closed.
 
-    Of functional environments, reset and step are compiled by jax.jit, and rows stay on the device until a block of 50
-    is full; nothing waits for the device in a step. Where a wrapper resets environments within step, their last
-    observations are not known: final_observation_given is 0 there.
+    Of functional environments, reset and step are compiled by jax.jit. Of these, and of environments with tensors of
+    torch, rows stay on the device until a block of 50 is full; nothing waits for the device in a step. Where
+    environments are reset within step and do not tell the last observations of episodes, these are not known:
+    final_observation_given is 0 there.
 
     Returns the wrapped environment. Raises UsageError where steps or dt cannot be, dt or the autoreset mode is not
     known, or physics of another task is asked for.
@@ -60,6 +62,10 @@ def wrap(
         told = given_or(dt, states.step_of(envs))
         return RecordedFunctional(envs, path, steps=steps, dt=told, infos=names, physics=physics)
     told = given_or(dt, next(_told(envs), None))
+    if tensors.has_tensors(envs):
+        if physics:
+            raise UsageError("physics is recorded of MuJoCo's environments, not of those with tensors of torch")
+        return tensors.recorded_tensors(envs, path, steps=steps, dt=told, infos=names)
     if mode_of(envs) is Mode.NONE:
         raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
     from gpusimbench.recorder.vector.wrapper import Recorded
@@ -83,7 +89,7 @@ def _told(envs: Any) -> Iterator[float]:
     # of the vector, and of its first environment where that lives in this process
     whole = envs.unwrapped
     for env in (whole, *(one.unwrapped for one in getattr(whole, "envs", ())[:1])):
-        for name in ("dt", "step_dt"):
+        for name in ("dt", "step_dt", "control_timestep"):
             if isinstance(value := getattr(env, name, None), (int, float)) and value > 0:
                 yield value
     if fps := (envs.metadata or {}).get("render_fps"):

@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.vector.device.rows import Columns
 from gpusimbench.recorder.vector.fields import GIVEN
 from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode
+from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.vector import FINAL_GIVEN
 
 INFO = "info/"
 """Begins the names of the arrays of infos."""
+
+_TRUE = np.ones(1, dtype=np.bool_)
 
 DONE, TRUNCATION = "done", "truncation"
 """The flags of Brax, of which terminated and truncated are made."""
@@ -74,12 +77,15 @@ class History:
             if row in resets:
                 self._ledger.reset(_mask(resets[row].which, done[row]))
             counts["episode"][row], counts["episode_step"][row] = self._ledger.episode, self._ledger.step
+        if not rows.get(FINAL_GIVEN, _TRUE).all():
+            raise UsageError("an episode ended in a step that begins the next one, and info has no final_obs")
         of_info, kept = {}, {}
         for name, array in rows.items():
             if name.startswith(INFO):
-                of_info[name] = array
-                of_info.setdefault(f"{name}{GIVEN}", rows.get(f"{name}{GIVEN}", stepped))
-            elif name not in (DONE, TRUNCATION):
+                if not name.endswith(GIVEN):
+                    of_info[name] = array
+                    of_info[f"{name}{GIVEN}"] = rows.get(f"{name}{GIVEN}", stepped) & stepped
+            elif name not in (DONE, TRUNCATION, FINAL_GIVEN):
                 kept[name] = array
         if not stepped[0 if self._rows else 1 :].all():  # a call of step that begins an episode ignores its actions
             kept |= {name: _where(stepped, array, 0) for name, array in kept.items() if name.startswith("action")}
@@ -103,7 +109,7 @@ class History:
             if self._hidden:
                 known = np.concatenate([self._last.get(name, array[:1]), array[:-1]])
                 led_to = _where(done, known, led_to)
-                self._last[name] = array[-1:]
+                self._last[name] = array[-1:].copy()  # the block's memory is used again
             found[final] = led_to
         return {**found, FINAL_GIVEN: ~done} if self._hidden else found
 

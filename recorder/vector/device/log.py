@@ -122,7 +122,11 @@ class DeviceLog:
     def begin(self, row: Arrays, log: HostLog) -> None:
         """Begin the recording with the observations of a reset, and 0 for what only steps give."""
         self._rows.keep(row)
-        log.append(self._rows.take()(), {})
+        try:
+            log.append(self._rows.take()(), {})
+        except BaseException as error:
+            log.end(error)
+            raise
         self._log, self._writing = log, Writing(lambda job: job.work())
         for name, found, states in self._hashes:
             log.fingerprint(name, found, states)
