@@ -87,10 +87,10 @@ def given_or(dt: float | None, told: float | None) -> float:
 
 def _told(envs: Any) -> Iterator[float]:
     # of the vector, and of its first environment where that lives in this process
-    whole = envs.unwrapped
+    whole = getattr(envs, "unwrapped", envs)
     for env in (whole, *(one.unwrapped for one in getattr(whole, "envs", ())[:1])):
         for name in ("dt", "step_dt", "control_timestep"):
             if isinstance(value := getattr(env, name, None), (int, float)) and value > 0:
                 yield value
-    if fps := (envs.metadata or {}).get("render_fps"):
+    if fps := (getattr(envs, "metadata", None) or {}).get("render_fps"):
         yield 1 / fps

@@ -107,9 +107,8 @@ class History:
                 for row, before in replaced.items():
                     led_to[row] = before[name]
             if self._hidden:
-                known = np.concatenate([self._last.get(name, array[:1]), array[:-1]])
-                led_to = _where(done, known, led_to)
-                self._last[name] = array[-1:].copy()  # the block's memory is used again
+                led_to = _without_ends(led_to, done, self._last.get(name, array[0]))
+                self._last[name] = array[-1].copy()  # the block's memory is used again
             found[final] = led_to
         return {**found, FINAL_GIVEN: ~done} if self._hidden else found
 
@@ -125,6 +124,17 @@ def _mask(which: Which | NDArray[np.bool_], done: NDArray[np.bool_]) -> NDArray[
     if isinstance(which, Which):
         return {Which.ALL: np.ones_like(done), Which.ENDED: done, Which.NONE: np.zeros_like(done)}[which]
     return which
+
+
+def _without_ends(array: NDArray[Any], done: NDArray[np.bool_], last: NDArray[Any]) -> NDArray[Any]:
+    # arrays [row, env, ...], where an episode ended with what the row before has; `last` is the row before the first
+    row, env = np.nonzero(done)
+    if not row.size:
+        return array
+    found = array.copy()
+    found[row, env] = array[row - 1, env]
+    found[0, env[row == 0]] = last[env[row == 0]]
+    return found
 
 
 def _where(mask: NDArray[np.bool_], array: NDArray[Any], other: NDArray[Any] | int) -> NDArray[Any]:

@@ -46,10 +46,10 @@ def told_by(envs: Any, name: str) -> Any:
 
 def recorded_tensors(envs: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...]) -> Any:
     """The environments, recorded; what Gymnasium takes for a vector or an environment is taken for it still."""
-    import gymnasium
-
-    bases = (gymnasium.vector.VectorEnv, gymnasium.vector.VectorWrapper), (gymnasium.Env, gymnasium.Wrapper)
-    base = next((wrapper for kind, wrapper in bases if isinstance(envs, kind)), _Plain)
+    base: type = _Plain
+    if gymnasium := sys.modules.get("gymnasium"):
+        bases = (gymnasium.vector.VectorEnv, gymnasium.vector.VectorWrapper), (gymnasium.Env, gymnasium.Wrapper)
+        base = next((wrapper for kind, wrapper in bases if isinstance(envs, kind)), base)
     recorded = type("RecordedTensors", (RecordedTensors, base), {})(envs)
     recorded._record(path, steps=steps, dt=dt, infos=infos)
     return recorded
@@ -74,10 +74,11 @@ class RecordedTensors:
     def _record(self, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...]) -> None:
         self._path, self._steps, self._dt, self._told = path, steps, dt, infos
         self._n_env = int(told_by(self.env, "num_envs"))
-        self._hidden = _package(self.env) in _HIDING
-        self._mode = Mode.SAME_STEP if self._hidden else mode_of(self.env)
-        if told_by(self.env, "auto_reset") is False:  # of ManiSkill, whose metadata say SameStep still
-            self._mode = Mode.DISABLED
+        hiding = _package(self.env) in _HIDING
+        self._mode = Mode.SAME_STEP if hiding else mode_of(self.env)
+        if False in (told_by(self.env, "auto_reset"), getattr(told_by(self.env, "cfg"), "auto_reset", None)):
+            self._mode = Mode.DISABLED  # whatever the metadata of ManiSkill say
+        self._hidden = hiding and self._mode is Mode.SAME_STEP
         if self._mode is Mode.NONE:
             raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
         self._log = DeviceLog(TorchRows(), steps)
@@ -198,7 +199,7 @@ class RecordedTensors:
         return About(
             simulator=package or "gymnasium",
             version=number,
-            scene=getattr(spec, "id", "") or type(self.env.unwrapped).__name__,
+            scene=getattr(spec, "id", "") or type(getattr(self.env, "unwrapped", self.env)).__name__,
             device=_device(told_by(self.env, "device")),
             mode=self._mode,
             hidden=self._hidden,
