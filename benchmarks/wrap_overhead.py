@@ -1,12 +1,18 @@
 """What gpusimbench.wrap costs: calls of step of a wrapped vector environment beside those of a bare one, in turn.
 
-usage: python -m benchmarks.wrap_overhead [--task HalfCheetah-v5] [--n-env 64] [--steps 200] [--rounds 9]
+usage: python -m benchmarks.wrap_overhead [--kind gymnasium|playground|brax|mjx] [--task NAME] [--n-env 64]
+                                          [--steps 200] [--rounds 9] [--physics]
 
-Both vectors live in this process, begin with one seed and are given the same actions, drawn before. Each step is made
-by both, one after the other, in an order that changes from step to step, so that whatever else the machine does meets
-both. A round gives one ratio, of the time of all steps and of closing. The beginning of the recording, in which host
-and software are described once, is in the first step, and is told apart. The last observations are the same, bit for
-bit.
+gymnasium: both vectors live in this process, begin with one seed and are given the same actions, drawn before. Each
+step is made by both, one after the other, in an order that changes from step to step, so that whatever else the machine
+does meets both. A round gives one ratio, of the time of all steps and of closing. The beginning of the recording, in
+which host and software are described once, is in the first step, and is told apart. The last observations are the same,
+bit for bit.
+
+playground, brax, mjx: functional environments on JAX, whose rows are written in the background while later steps are
+made. So steps are not made in turn, but runs: all steps of the one, until the device has made them and the recording is
+closed, then all of the other, in an order that changes from round to round. Both use one compiled step, and the same
+actions, which are on the device. mjx needs the packages jax and mujoco-mjx alone.
 """
 
 from __future__ import annotations
@@ -19,11 +25,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording, wrap
+
+TASKS = {
+    "gymnasium": "HalfCheetah-v5",
+    "playground": "CartpoleBalance",
+    "brax": "inverted_pendulum",
+    "mjx": "four legs",
+}
 
 Times = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -37,6 +49,8 @@ def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Times, Any]:
 
 def one_round(task: str, n_env: int, steps: int, path: Path, seed: int) -> tuple[list[Times], float]:
     """Times of the bare and of the wrapped vector, without the first step; how much longer that of the wrapped was."""
+    import gymnasium
+
     pair = [gymnasium.make_vec(task, num_envs=n_env, vectorization_mode="sync") for _ in range(2)]
     pair[1] = wrap(pair[1], path, steps=steps)
     for envs in pair:
@@ -60,26 +74,70 @@ def one_round(task: str, n_env: int, steps: int, path: Path, seed: int) -> tuple
     return spent, firsts[1] - firsts[0]
 
 
+def functional_round(
+    task: Any, n_env: int, steps: int, path: Path, seed: int, *, physics: bool
+) -> tuple[list[Times], float]:
+    """The same of a functional task."""
+    import jax
+
+    wrapped = wrap(task, path, steps=steps, physics=physics)
+    shape = (steps, n_env, task.action_size)
+    actions = list(jax.random.uniform(jax.random.PRNGKey(seed), shape, minval=-1, maxval=1))
+    keys = jax.random.split(jax.random.PRNGKey(seed + 1), n_env)
+    spent, firsts = [np.zeros(2), np.zeros(2)], [0.0, 0.0]
+    last: list[Any] = [None, None]
+
+    def run(env: Any, state: Any) -> Any:
+        for action in actions[1:]:
+            state = env.step(state, action)
+        jax.block_until_ready(state)
+        if env is wrapped:
+            env.close()
+        return state.obs
+
+    for which in (0, 1) if seed % 2 else (1, 0):
+        env = (task, wrapped)[which]
+        state = jax.block_until_ready(env.reset(keys))
+        first, state = timed(lambda env=env, state=state: jax.block_until_ready(env.step(state, actions[0])))
+        firsts[which] = first[0]
+        spent[which], last[which] = timed(run, env, state)
+    assert np.array_equal(*last)
+    assert open_recording(path).status == "complete"
+    return spent, firsts[1] - firsts[0]
+
+
 def main() -> None:
     """Measure and print."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--task", default="HalfCheetah-v5")
+    p.add_argument("--kind", choices=TASKS, default="gymnasium")
+    p.add_argument("--task", default="", help="of the kind's registry")
     p.add_argument("--n-env", type=int, default=64)
     p.add_argument("--steps", type=int, default=200)
     p.add_argument("--rounds", type=int, default=9)
+    p.add_argument("--physics", action="store_true", help="record qpos and qvel too, of functional tasks")
     a = p.parse_args()
+    name_of_task = a.task or TASKS[a.kind]
+    if a.kind != "gymnasium":
+        from benchmarks.functional_tasks import task
+
+        made = task(a.kind, name_of_task)
     found, began, sizes = [], [], []
     with tempfile.TemporaryDirectory() as name:
         os.chdir(name)  # where MuJoCo logs that a task's model is old
-        for number in range(a.rounds):
+        for number in range(a.rounds + (a.kind != "gymnasium")):
             path = Path(f"{number}.mcap")
-            spent, beginning = one_round(a.task, a.n_env, a.steps, path, number)
+            if a.kind == "gymnasium":
+                spent, beginning = one_round(name_of_task, a.n_env, a.steps, path, number)
+            else:
+                spent, beginning = functional_round(made, a.n_env, a.steps, path, number, physics=a.physics)
+            if a.kind != "gymnasium" and not number:
+                continue  # functions are compiled in it
             found.append(spent)
             began.append(beginning)
             sizes.append(path.stat().st_size / 1e6)
         os.chdir("/")
     print(f"machine           {machine()}")
-    print(f"steps             {a.task}, {a.n_env} envs, {a.steps} steps, {a.rounds} rounds")
+    print(f"steps             {a.kind} {name_of_task}, {a.n_env} envs, {a.steps} steps, {a.rounds} rounds")
     print(f"bare [ms / step]  {spread([bare[0] / (a.steps - 1) * 1e3 for bare, _ in found])}")
     print(f"wrapped / bare    {spread([wrapped[0] / bare[0] for bare, wrapped in found])}")
     print(f"of CPU time       {spread([wrapped[1] / bare[1] for bare, wrapped in found])}")

@@ -281,7 +281,7 @@ class RecordingWriter:
             self._problems.append(("NOT_FINITE", problem))
 
     def _rows(self, field: StateField, given: ArrayLike) -> NDArray[np.floating]:
-        array = np.array(given)  # a copy: rows are kept until a block is full
+        array = np.asarray(given)  # of which nothing is kept: rows that wait for a full block are copied
         shape = (self._configuration.n_env, len(field.items), field.width)
         if array.dtype != field.dtype:
             raise UsageError(f"{field.name} is {array.dtype}, and was announced as {field.dtype}")

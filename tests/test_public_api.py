@@ -16,9 +16,9 @@ from gpusimbench.schemas.errors import GsbError
 from tests.conftest import run_python
 from tests.test_docs import ROOT, blocks
 
-FUNCTIONS = ("compare", "diff", "evaluate", "open_recording", "verify", "wrap")
+FUNCTIONS = ("compare", "diff", "evaluate", "open_recording", "record_rollout", "verify", "wrap")
 CLASSES = ("RecordingWriter", "Scene", "Simulator")
-LATER = (*CLASSES, "wrap")
+LATER = (*CLASSES, "record_rollout", "wrap")
 
 
 def test_the_public_names() -> None:

@@ -67,7 +67,7 @@ class CaptureClock:
 
 def step_and_capture(
     simulator: Simulator,
-    writing: Writing,
+    writing: Writing[Block],
     clock: CaptureClock,
     *,
     first: int,

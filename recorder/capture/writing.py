@@ -6,6 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
 
 from gpusimbench.recorder.capture.actions import Actions
 from gpusimbench.recorder.interruption import shielded
@@ -24,17 +25,31 @@ class Block:
     captured: Captured
     actions: Actions | None
 
+    def release(self) -> None:
+        """See Captured.release."""
+        self.captured.release()
 
-class Writing:
+
+class Releasable(Protocol):
+    """What is written, and then not needed any longer."""
+
+    def release(self) -> None:
+        """Its memory may be used again."""
+
+
+Written = TypeVar("Written", bound=Releasable)
+
+
+class Writing(Generic[Written]):
     """Writes blocks in the order in which they are put; each is released once it is written.
 
     write  writes one block, in another thread; an error of it is raised by the next call of ``wait`` or by ``finish``,
            and the blocks behind it are released and not written
     """
 
-    def __init__(self, write: Callable[[Block], None]) -> None:
+    def __init__(self, write: Callable[[Written], None]) -> None:
         self._write = write
-        self._blocks: deque[Block] = deque()
+        self._blocks: deque[Written] = deque()
         self._unwritten = 0
         self._ended = False
         self._error: BaseException | None = None
@@ -47,7 +62,7 @@ class Writing:
         """Blocks that were put and are not released yet."""
         return self._unwritten
 
-    def put(self, block: Block) -> None:
+    def put(self, block: Written) -> None:
         """Have a block written; returns at once."""
         with shielded(), self._changed:  # a lock that an interruption leaves held is never given up
             self._blocks.append(block)
@@ -78,7 +93,7 @@ class Writing:
                     if self._error is None:
                         self._write(block)
                 finally:
-                    block.captured.release()
+                    block.release()
             except BaseException as error:  # whatever it is, the thread that steps is to know it
                 self._error = self._error or error
             finally:
@@ -86,7 +101,7 @@ class Writing:
                     self._unwritten -= 1
                     self._changed.notify_all()
 
-    def _next(self) -> Block | None:
+    def _next(self) -> Written | None:
         with self._changed:
             self._changed.wait_for(lambda: self._blocks or self._ended)
             return self._blocks.popleft() if self._blocks else None

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.demonstrations.data_set import DataSet
 from gpusimbench.recorder.demonstrations.demonstration import Demonstration
 from gpusimbench.recorder.log import RecordingWriter
-from gpusimbench.recorder.vector.fields import field_of, recorded_dtype
-from gpusimbench.recorder.vector.infos import GIVEN, array_name
+from gpusimbench.recorder.vector.fields import GIVEN, field_of, recorded_dtype
+from gpusimbench.recorder.vector.infos import array_name
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID
 from gpusimbench.schemas.errors import DamagedRecording

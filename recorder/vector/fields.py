@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gpusimbench.schemas.fields import FIELD_KINDS, UNKNOWN, StateField, array_field
+from gpusimbench.schemas.fields import DIMENSIONLESS, FIELD_KINDS, UNKNOWN, StateField, array_field
 
 NO_STEP = "at step 0, which no step of the environment leads to, 0 stands for it"
+
+NOT_GIVEN = "0 stands for it where its flag says that it was not given"
+GIVEN = "_given"
+"""Ends the name of the flag beside an array."""
+
+FACTS = ("terminated", "truncated", "stepped", "episode", "episode_step")
+"""Flags and counts of each step."""
 
 
 def recorded_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
@@ -29,3 +38,20 @@ def field_of(name: str, dtype: np.dtype[Any], shape: tuple[int, ...], *notes: st
     if plain in FIELD_KINDS:  # which would make it a state of bodies or joints
         plain += "_array"
     return array_field(plain, str(recorded), shape, unit=unit, note="; ".join([*told, *notes]))
+
+
+def fields_of(row: Mapping[str, NDArray[Any]], notes: Mapping[str, str]) -> tuple[StateField, ...]:
+    """The fields of arrays [env, ...] by name, in their order.
+
+    notes  on their numbers, by name
+    """
+    return tuple(
+        field_of(
+            name,
+            array.dtype,
+            array.shape[1:],
+            *([notes[name]] if name in notes else []),
+            unit=DIMENSIONLESS if name in FACTS or name.endswith(GIVEN) else UNKNOWN,
+        )
+        for name, array in row.items()
+    )

@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.vector.fields import GIVEN
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import on_host
 
 FINAL_INFO = "final_info"
-GIVEN = "_given"
-"""Ends the name of the flag beside each scalar."""
-
 Arrays = dict[str, NDArray[Any]]
 
 

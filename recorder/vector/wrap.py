@@ -5,13 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from gpusimbench.recorder.vector.device import states, tensors
+from gpusimbench.recorder.vector.device.states import is_functional
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.schemas.errors import UsageError
-
-if TYPE_CHECKING:
-    from gpusimbench.recorder.vector.wrapper import Recorded
 
 
 def wrap(
@@ -22,16 +21,20 @@ def wrap(
     dt: float | None = None,
     infos: Sequence[str] = (),
     physics: bool = False,
-) -> Recorded | Any:
-    """Record a Gymnasium VectorEnv while it is used: the same interface, and a file.
+) -> Any:
+    """Record vector environments while they are used: the same interface, and a file.
 
-    envs   the vector environment, of Gymnasium 1.0 or later, or the VecEnv of Stable-Baselines3 2
+    envs   a VectorEnv of Gymnasium 1.0 or later, or the VecEnv of Stable-Baselines3 2; an environment of ManiSkill,
+           Isaac Lab or mjlab; or a functional environment on JAX, such as those of Brax and MuJoCo Playground in their
+           wrappers for training: reset(rng) gives a state, step(state, action) the next one
     path   of the recording, which must not exist, in a folder that does; a relative path lies in the folder of the run
            where gsb-run runs the program
     steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on
     dt     simulated time of a step [s]; None: what the task says of it (dt, step_dt, or render_fps of its metadata)
-    infos  scalars of the infos that are recorded, such as "success"; "a/b" is b in the dictionary a
-    physics  whether MuJoCo's qpos and qvel are recorded, for gsb-replay: of tasks of Gymnasium in this process
+    infos  scalars of the infos that are recorded, such as "success"; "a/b" is b in the dictionary a. Of functional
+           environments, keys of the metrics and infos of the state
+    physics  whether MuJoCo's qpos and qvel are recorded, for gsb-replay: of tasks of Gymnasium in this process, and of
+           functional environments
 
     Row 0 is the reset, row k the k-th call of step, of every environment:
     action, observation (that the next action is for), reward, terminated, truncated, final_observation (what step
@@ -43,11 +46,14 @@ def wrap(
 
     A VecEnv gives a VecEnv: the seeds are those that its method seed was given, and the autoreset mode is SameStep.
 
+    Of functional environments, reset and step are compiled by jax.jit. Of these, and of environments with tensors of
+    torch, rows stay on the device until a block of 50 is full; nothing waits for the device in a step. Where
+    environments are reset within step and do not tell the last observations of episodes, these are not known:
+    final_observation_given is 0 there.
+
     Returns the wrapped environment. Raises UsageError where steps or dt cannot be, dt or the autoreset mode is not
     known, or physics of another task is asked for.
     """
-    from gpusimbench.recorder.vector.wrapper import Recorded
-
     if isinstance(infos, str):
         raise UsageError(f'infos is a list of names, such as ("{infos}",)')
     if _is_vec_env(envs):
@@ -55,20 +61,36 @@ def wrap(
 
         inner = AsGymnasium(envs, infos)
         return RecordedVecEnv(wrap(inner, path, steps=steps, dt=dt, infos=infos, physics=physics))
-    told = dt if dt is not None else step_of(envs)
     if steps < 1:
         raise UsageError(f"at least 1 step is recorded, not {steps}")
+    names = tuple(dict.fromkeys(infos))
+    if is_functional(envs):
+        from gpusimbench.recorder.vector.device.functional import RecordedFunctional
+
+        told = given_or(dt, states.step_of(envs))
+        return RecordedFunctional(envs, path, steps=steps, dt=told, infos=names, physics=physics)
+    told = given_or(dt, next(_told(envs), None))
+    if tensors.has_tensors(envs):
+        if physics:
+            raise UsageError("physics is recorded of MuJoCo's environments, not of those with tensors of torch")
+        return tensors.recorded_tensors(envs, path, steps=steps, dt=told, infos=names)
     if mode_of(envs) is Mode.NONE:
         raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
-    return Recorded(envs, path, steps=steps, dt=float(told), infos=tuple(dict.fromkeys(infos)), physics=physics)
+    from gpusimbench.recorder.vector.wrapper import Recorded
+
+    return Recorded(envs, path, steps=steps, dt=told, infos=names, physics=physics)
 
 
 def step_of(envs: Any) -> float:
     """Simulated time of a step of a vector environment [s]; UsageError where it does not say."""
-    told = next(_told(envs), None)
-    if told is None:
+    return given_or(None, next(_told(envs), None))
+
+
+def given_or(dt: float | None, told: float | None) -> float:
+    """The time step that was given, or else the task's own [s]; UsageError where there is neither."""
+    if dt is None and told is None:
         raise UsageError("the environment does not say what simulated time a step takes: give dt [s]")
-    return float(told)
+    return float(told if dt is None else dt)  # type: ignore[arg-type]
 
 
 def _is_vec_env(envs: Any) -> bool:
@@ -79,10 +101,10 @@ def _is_vec_env(envs: Any) -> bool:
 
 def _told(envs: Any) -> Iterator[float]:
     # of the vector, and of its first environment where that lives in this process
-    whole = envs.unwrapped
+    whole = getattr(envs, "unwrapped", envs)
     for env in (whole, *(one.unwrapped for one in getattr(whole, "envs", ())[:1])):
-        for name in ("dt", "step_dt"):
+        for name in ("dt", "step_dt", "control_timestep"):
             if isinstance(value := getattr(env, name, None), (int, float)) and value > 0:
                 yield value
-    if fps := (envs.metadata or {}).get("render_fps"):
+    if fps := (getattr(envs, "metadata", None) or {}).get("render_fps"):
         yield 1 / fps

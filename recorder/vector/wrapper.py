@@ -13,19 +13,17 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
 from gpusimbench.recorder.log import RecordingWriter
-from gpusimbench.recorder.vector.fields import field_of, recorded_dtype
-from gpusimbench.recorder.vector.infos import GIVEN, array_name, nothing_told, told
+from gpusimbench.recorder.vector.fields import NOT_GIVEN, fields_of, recorded_dtype
+from gpusimbench.recorder.vector.infos import array_name, nothing_told, told
 from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode, mode_of, with_final
 from gpusimbench.recorder.vector.origin import origin_of
 from gpusimbench.recorder.vector.physics import Physics
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.trees import leaves, on_host
 
 _ROWS = 50  # that are handed to the writer at a time
 _FLAGS = ("terminated", "truncated")
 _NO_STEP = "0 stands for it where no step was made: at step 0, and where a call of step began the next episode"
-_NOT_GIVEN = "0 stands for it where its flag says that it was not given"
 
 Row = dict[str, NDArray[Any]]
 
@@ -150,21 +148,11 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         facts = {"stepped": np.zeros(n_env, dtype=np.bool_), **self._counts()}
         of_info = nothing_told(self._infos, n_env)
         row = {**given, **seen, **of_step, **_final(seen), **facts, **of_info}
-        known = {*_FLAGS, *facts, *(name for name in of_info if name.endswith(GIVEN))}
-        noted = {
+        notes = {
             **dict.fromkeys([*given, *of_step], _NO_STEP),
-            **dict.fromkeys(map(array_name, self._infos), _NOT_GIVEN),
+            **dict.fromkeys(map(array_name, self._infos), NOT_GIVEN),
         }
-        fields = [
-            field_of(
-                name,
-                array.dtype,
-                array.shape[1:],
-                *([noted[name]] if name in noted else []),
-                unit=DIMENSIONLESS if name in known else UNKNOWN,
-            )
-            for name, array in row.items()
-        ]
+        fields = fields_of(row, notes)
         options = {"autoreset_mode": self._mode.value, **origin_of(self.env)}
         if self._infos:
             options["infos"] = ", ".join(self._infos)

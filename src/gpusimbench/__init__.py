@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from gpusimbench.recorder.log import RecordingWriter
     from gpusimbench.recorder.scenes.base import Scene
     from gpusimbench.recorder.simulators.base import Simulator
+    from gpusimbench.recorder.vector.device.rollout import record_rollout
     from gpusimbench.recorder.vector.wrap import wrap
     from gpusimbench.schemas.location import Place
 
@@ -60,6 +61,7 @@ __all__ = [
     "diff",
     "evaluate",
     "open_recording",
+    "record_rollout",
     "verify",
     "wrap",
 ]
@@ -69,6 +71,7 @@ _LATER = {
     "RecordingWriter": "gpusimbench.recorder.log",
     "Scene": "gpusimbench.recorder.scenes.base",
     "Simulator": "gpusimbench.recorder.simulators.base",
+    "record_rollout": "gpusimbench.recorder.vector.device.rollout",
     "wrap": "gpusimbench.recorder.vector.wrap",
 }
 

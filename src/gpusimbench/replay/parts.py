@@ -11,8 +11,8 @@ import numpy as np
 from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes, rows_of
 from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.recorder.vector.fields import field_of
-from gpusimbench.recorder.vector.infos import GIVEN, array_name
+from gpusimbench.recorder.vector.fields import GIVEN, field_of
+from gpusimbench.recorder.vector.infos import array_name
 from gpusimbench.recorder.vector.part import ACTION, Part, State
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
 from gpusimbench.schemas.fields import ENV

@@ -1,0 +1,1 @@
+"""Environments whose arrays live on a device: rows stay there, and come to the host a block at a time."""

@@ -1,0 +1,203 @@
+"""The recording of environments on a device: rows are kept there, and blocks of them written in the background."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
+from gpusimbench.recorder.capture.writing import Writing
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.recorder.vector.device.history import History, Reset, Which
+from gpusimbench.recorder.vector.device.rows import Arrays, Columns, Rows
+from gpusimbench.recorder.vector.fields import GIVEN, NO_STEP, NOT_GIVEN, fields_of, recorded_dtype
+from gpusimbench.recorder.vector.modes import FINAL, Mode
+from gpusimbench.schemas.errors import UsageError
+
+_HIDDEN = (
+    "in the last step of an episode, the observation before that step stands for it: the environment returns the first "
+    "observation of the next episode instead"
+)
+
+
+@dataclass(frozen=True)
+class About:
+    """What a recording says of the environments, see RecordingWriter.
+
+    hidden  whether a reset within step hides the last observation of an episode
+    """
+
+    simulator: str
+    version: str
+    scene: str
+    device: str
+    mode: Mode
+    hidden: bool
+    options: Mapping[str, str]
+    seed: int = 0
+
+
+class HostLog:
+    """A recording of rows that a device kept, as they come to the host.
+
+    path, steps, dt  as of gpusimbench.wrap
+    """
+
+    def __init__(self, path: str | Path, *, steps: int, dt: float, about: About) -> None:
+        self._path, self._steps, self._dt, self._about = path, steps, dt, about
+        self._history: History | None = None
+        self._writer: RecordingWriter | None = None
+
+    def append(self, rows: Columns, resets: Mapping[int, Reset]) -> None:
+        """Write rows that follow those of the last call; see History. The first call begins the recording."""
+        about = self._about
+        if self._history is None:
+            self._history = History(rows["reward"].shape[1], about.mode, hidden=about.hidden)
+        found = self._history.completed(rows, resets)
+        if self._writer is None:
+            self._writer = self._begun({name: array[0] for name, array in found.items()})
+        self._writer.append(*(array.astype(recorded_dtype(array.dtype), copy=False) for array in found.values()))
+
+    def fingerprint(self, name: str, found: Hashed, states: int) -> None:
+        """See RecordingWriter.fingerprint."""
+        assert self._writer is not None
+        self._writer.fingerprint(name, found, states=states)
+
+    def end(self, error: BaseException | None) -> None:
+        """End the recording; an error is its reason."""
+        if self._writer is not None:
+            self._writer.__exit__(type(error) if error else None, error, None)
+
+    def _begun(self, row: Columns) -> RecordingWriter:
+        about = self._about
+        notes = {name: NO_STEP for name in row if name == "reward" or name.startswith("action")}
+        notes |= {name: NOT_GIVEN for name in row if name.startswith("info/") and not name.endswith(GIVEN)}
+        if about.hidden:
+            notes |= {name: _HIDDEN for name in row if name.startswith(FINAL) and not name.endswith(GIVEN)}
+        writer = RecordingWriter(
+            self._path, simulator=about.simulator, version=about.version, scene=about.scene, device=about.device,
+            n_env=len(row["reward"]), dt=self._dt, steps=self._steps, fields=fields_of(row, notes), seed=about.seed,
+            options={"autoreset_mode": about.mode.value, **about.options}, view=(),
+        )  # fmt: skip
+        return writer.__enter__()
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What the thread that writes does next."""
+
+    work: Callable[[], None]
+
+    def release(self) -> None:
+        """Nothing is given back: arrays end with the job."""
+
+
+class DeviceLog:
+    """Rows of a device on their way to a recording.
+
+    made   calls of step whose rows were given
+    ended  whether the recording has ended
+    """
+
+    def __init__(self, rows: Rows, steps: int) -> None:
+        self._rows, self._steps = rows, steps
+        self._log: HostLog | None = None
+        self._writing: Writing[_Job] | None = None
+        self._resets: dict[int, Reset] = {}
+        self._hashes: list[tuple[str, Hashed, int]] = []  # of calls before the first step, which begins the recording
+        self._hashing = False
+        self.made = 0
+        self.ended = False
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a row."""
+        return self._log is not None
+
+    def begin(self, row: Arrays, log: HostLog) -> None:
+        """Begin the recording with the observations of a reset, and 0 for what only steps give."""
+        self._rows.keep(row)
+        try:
+            log.append(self._rows.take()(), {})
+        except BaseException as error:
+            log.end(error)
+            raise
+        self._log, self._writing = log, Writing(lambda job: job.work())
+        for name, found, states in self._hashes:
+            log.fingerprint(name, found, states)
+
+    def make_room(self) -> None:
+        """Have a full block written; called before the environment makes the step of the next row."""
+        if self._rows.full:
+            self._write()
+
+    def keep(self, row: Arrays) -> None:
+        """The row of a step. The last one ends the recording, unless arrays may still be hashed."""
+        self._rows.keep(row)
+        self.made += 1
+        if self.made == self._steps and not self._hashing:
+            self.end(None)
+
+    def replace(self, row: Arrays, which: Which | NDArray[np.bool_]) -> None:
+        """The last row's observations are others, since the user reset environments."""
+        before = self._rows.last([name for name in row if name.startswith("observation")])
+        self._resets.setdefault(self._rows.filled - 1, Reset(which, before))
+        self._rows.replace(row)
+
+    def fingerprint(self, name: str, arrays: Any, *, reset: bool) -> None:
+        """See wrapper.Recorded.fingerprint.
+
+        reset  whether environments were reset before the first step
+        """
+        if self.ended:
+            if self._hashing:
+                return
+            raise UsageError("the recording has ended: call fingerprint before the last of the recorded steps, too")
+        self._hashing = True
+        found = hashed(arrays, checked_name(name))
+        states = self.made + 1 if self.begun or reset else 0
+        log = self._log
+        if log is None:
+            self._hashes.append((name, found, states))
+        else:
+            self._put(lambda: log.fingerprint(name, found, states))
+
+    def past_the_end(self) -> None:
+        """A step is called; the recording ends where it has all of its steps."""
+        if self.made == self._steps:
+            self.end(None)
+
+    def end(self, error: BaseException | None) -> None:
+        """Write what is there, and end the recording; an error is its reason."""
+        if self.ended or self._log is None or self._writing is None:
+            return
+        self.ended = True
+        try:
+            self._write()
+        except Exception as second:
+            error = error or second
+            raise
+        finally:
+            try:
+                self._writing.finish()
+            except Exception as second:
+                error = error or second
+                raise
+            finally:
+                self._log.end(error)
+
+    def _write(self) -> None:
+        log, resets, self._resets = self._log, self._resets, {}
+        if self._rows.filled and log is not None:
+            rows = self._rows.take()
+            self._put(lambda: log.append(rows(), resets))
+
+    def _put(self, work: Callable[[], None]) -> None:
+        assert self._writing is not None
+        self._writing.wait(1)
+        self._writing.put(_Job(work))

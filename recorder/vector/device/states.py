@@ -1,0 +1,169 @@
+"""States of functional environments (Brax, MuJoCo Playground), and what a row of a recording has of them."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from gpusimbench.recorder.vector.device.history import DONE, INFO, TRUNCATION
+from gpusimbench.recorder.vector.device.log import About
+from gpusimbench.recorder.vector.modes import Mode
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.trees import leaves
+from gpusimbench.schemas.vector import PHYSICS
+
+_FIRST = "first_obs"  # ends the name of the info that a wrapper resets from
+_ORIGINS = {"mujoco_playground": "playground", "brax": "brax"}  # packages, and what they are distributed as
+_NAMES = (("qpos", "qvel"), ("q", "qd"))  # of MuJoCo's state, and of that of Brax's own pipelines
+
+Row = dict[str, Any]
+
+
+def is_functional(env: Any) -> bool:
+    """Whether step takes a state and an action, and reset a key, as in Brax and MuJoCo Playground."""
+    if hasattr(env, "num_envs") or not callable(getattr(env, "reset", None)):
+        return False
+    try:
+        parameters = list(inspect.signature(env.step).parameters.values())
+    except (AttributeError, TypeError, ValueError):
+        return False
+    return sum(p.default is p.empty and p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) for p in parameters) == 2
+
+
+def hides_the_last(state: Any) -> bool:
+    """Whether the environments are reset within step, which returns the next episode's first observation."""
+    return any(str(key).endswith(_FIRST) for key in (getattr(state, "info", None) or {}))
+
+
+class Layout:
+    """Which arrays of a state are recorded.
+
+    infos    names of metrics or infos of the state
+    physics  whether qpos and qvel are
+    full     a reset within step replaces infos too; the number of steps after which it cuts an episode, or 0
+    stacked  whether rows are made of states that a scan stacked, [step, env, ...]; `state` itself is not stacked
+
+    UsageError where the state has them not.
+    """
+
+    def __init__(
+        self, state: Any, *, infos: Sequence[str], physics: bool, full: int = 0, stacked: bool = False
+    ) -> None:
+        self._infos, self._full = infos, full
+        if missing := [name for name in ("obs", "reward", "done") if not hasattr(state, name)]:
+            raise UsageError(f"{type(state).__name__} has no {missing[0]}, and is no state of an environment")
+        pipeline = _pipeline(state)
+        self._physics: tuple[str, ...] = ()
+        if physics:
+            self._physics = next((names for names in _NAMES if all(hasattr(pipeline, name) for name in names)), ())
+            if not self._physics:
+                raise UsageError("physics is recorded of states with data or pipeline_state, which have qpos and qvel")
+        self._single = not state.reward.shape
+        self._axes = (slice(None), None) if stacked else (None,)
+
+    def seen(self, state: Any) -> Row:
+        """What a reset replaces: observations and physics, [env, ...]."""
+        row = dict(leaves(state.obs, "observation"))
+        pipeline = _pipeline(state)
+        row |= {f"{PHYSICS}{name}": getattr(pipeline, name) for name in self._physics}
+        return self._batched(row)
+
+    def row(self, state: Any, action: Any) -> Row:
+        """What a step was given, and what it returned, [env, ...]."""
+        info: Mapping[str, Any] = getattr(state, "info", None) or {}
+        truncation = info["steps"] >= self._full if self._full and "steps" in info else info.get("truncation")
+        told = {f"{INFO}{name}": _scalar(state, name) for name in self._infos}
+        done = state.done
+        of_step = {DONE: done, TRUNCATION: done * 0 if truncation is None else truncation}
+        acted = self._batched(dict(leaves(action, "action")))
+        return {**acted, **self.seen(state), **self._batched({"reward": state.reward, **of_step, **told})}
+
+    def first(self, state: Any, action: Any) -> Row:
+        """The row of a state that no step led to."""
+        import jax.numpy as jnp
+
+        row, seen = self.row(state, action), self.seen(state)
+        return {name: array if name in seen else jnp.zeros_like(array) for name, array in row.items()}
+
+    def _batched(self, row: Row) -> Row:
+        return {name: array[self._axes] for name, array in row.items()} if self._single else row
+
+
+def key_of(state: Any) -> tuple[Any, Any]:
+    """What tells by identity whether a state has the observations, and the physics, of another."""
+    pipeline = _pipeline(state)
+    moved = next((getattr(pipeline, a) for a, _ in _NAMES if hasattr(pipeline, a)), None)
+    return [array for _, array in leaves(state.obs, "")], moved
+
+
+def traced(*trees: Any) -> bool:
+    """Whether JAX is tracing a function for which one of the trees stands."""
+    import jax
+
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
+
+
+def about(env: Any, state: Any, options: Mapping[str, str]) -> About:
+    """What a recording says of an environment whose states are such."""
+    hidden = hides_the_last(state)
+    device = next(iter(state.reward.devices()))
+    whole = getattr(env, "unwrapped", env)
+    package = next((root for root in _roots(whole) if root in _ORIGINS), "jax")
+    try:
+        number = version(_ORIGINS.get(package, package))
+    except PackageNotFoundError:
+        number = getattr(sys.modules.get(package), "__version__", "unknown")
+    wrappers = ", ".join(type(one).__name__ for one in _chain(env) if one is not whole)
+    return About(
+        simulator=package,
+        version=number,
+        scene=type(whole).__name__,
+        device="cpu" if device.platform == "cpu" else device.device_kind,
+        mode=Mode.SAME_STEP if hidden else Mode.DISABLED,
+        hidden=hidden,
+        options={**options, **({"env_wrappers": wrappers} if wrappers else {}), "jax": version("jax")},
+    )
+
+
+def step_of(env: Any) -> float | None:
+    """Simulated time of a step [s], several of the task where a wrapper repeats actions; None where it does not say."""
+    dt = getattr(env, "dt", None)
+    try:
+        return float(dt) * int(getattr(env, "action_repeat", 1)) if dt is not None else None
+    except (TypeError, ValueError):
+        return None
+
+
+def cut_after(env: Any) -> int:
+    """Steps after which an episode is cut, of a wrapper whose reset replaces infos; 0 where there is none."""
+    full = any(getattr(one, "_full_reset", False) for one in _chain(env))
+    return int(getattr(env, "episode_length", 0)) if full else 0
+
+
+def _pipeline(state: Any) -> Any:
+    found = getattr(state, "data", None)
+    return getattr(state, "pipeline_state", None) if found is None else found
+
+
+def _scalar(state: Any, name: str) -> Any:
+    for told in (getattr(state, "metrics", None) or {}, getattr(state, "info", None) or {}):
+        if name in told:
+            array = told[name]
+            if getattr(array, "shape", None) != state.reward.shape:
+                raise UsageError(f"info {name} is no number for each of the environments")
+            return array
+    raise UsageError(f"the state has no metric or info named {name}")
+
+
+def _chain(env: Any) -> Iterator[Any]:
+    yield env
+    while "env" in vars(env):
+        env = env.env
+        yield env
+
+
+def _roots(env: Any) -> list[str]:
+    return [base.__module__.partition(".")[0] for base in type(env).__mro__]
