@@ -1,6 +1,8 @@
 """PPO of Stable-Baselines3 on a Gymnasium task: recorded, with hashes of all that it computes between rollouts.
 
-usage: python train.py [--seed SEED] [--updates N] [--threads N]      writes train.mcap, and prints the mean returns
+usage: python train.py [--seed SEED] [--updates N] [--threads N] [--device DEVICE]
+
+It writes train.mcap, and prints the mean return of the last episodes.
 """
 
 from __future__ import annotations
@@ -54,11 +56,11 @@ class Fingerprints(BaseCallback):
     _on_training_end = _on_rollout_start
 
 
-def train(path: str, seed: int | None, updates: int) -> list[float]:
+def train(path: str, seed: int | None, updates: int, device: str) -> list[float]:
     """Train and record; the returns of the last 100 episodes."""
     steps = updates * HORIZON
     envs = gpusimbench.wrap(make_vec_env(TASK, n_envs=N_ENV), path, steps=steps)
-    model = PPO("MlpPolicy", envs, seed=seed, n_steps=HORIZON, batch_size=BATCH, device="cpu")
+    model = PPO("MlpPolicy", envs, seed=seed, n_steps=HORIZON, batch_size=BATCH, device=device)
     model.learn(steps * N_ENV, callback=Fingerprints())
     envs.close()
     return [episode["r"] for episode in model.ep_info_buffer]
@@ -69,7 +71,8 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, help="of torch, numpy and the environments; without it, nothing is seeded")
     parser.add_argument("--updates", type=int, default=4)
     parser.add_argument("--threads", type=int, default=1, help="of torch")
+    parser.add_argument("--device", default="cpu", help="of torch, such as cuda")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
-    returns = train("train.mcap", arguments.seed, arguments.updates)
+    returns = train("train.mcap", arguments.seed, arguments.updates, arguments.device)
     sys.stdout.write(f"mean return of the last {len(returns)} episodes: {np.mean(returns):.0f}\n")
