@@ -99,6 +99,12 @@ def test_what_the_hand_shows(models: ModuleType) -> None:
     assert [run.configuration.simulator for run in taken] == ["mujoco", "warp", "newton", "mjx"]
     for run in runs[len(taken) :]:
         assert "constraint of equality 'coupling'" in run.reason
+    arms = [np.asarray(run.state("joints", "qpos")[:])[..., : len(ARM), 0] for run in taken]
+    assert max(np.abs(arm - arms[0]).max() for arm in arms) < 1e-4
+    most = {run.configuration.simulator: models.off(run, taken[0])[0].max() for run in taken[1:]}
+    assert most["warp"] < 5e-5
+    assert most["newton"] == pytest.approx(0.023, abs=5e-4)
+    assert most["mjx"] == pytest.approx(0.0019, abs=5e-5)
     for run in taken:
         names = next(field.items for field in run.simulation.fields if field.name == "joints/qpos")
         qpos = np.asarray(run.state("joints", "qpos")[:])[..., 0]

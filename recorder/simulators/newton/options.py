@@ -62,7 +62,7 @@ class NewtonOptions:
                 raise ValueError(f"solver={self.solver} and mujoco_solver={self.mujoco_solver} contradict each other")
             object.__setattr__(self, "mujoco_solver", self.solver)
             object.__setattr__(self, "solver", "mujoco")
-        one_of("solver", self.solver, SOLVERS)
+        one_of("solver", self.solver, (*SOLVERS, *MUJOCO_SOLVERS))
         one_of("cone", self.cone, CONES)
         one_of("mujoco_solver", self.mujoco_solver, MUJOCO_SOLVERS)
         one_of("restitution", self.restitution, ("default", "on", "off"))
