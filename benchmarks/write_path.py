@@ -1,8 +1,8 @@
 """The host's write path (hashes, digests, CRCs, file) against os.write and CRC-32 of the same bytes, in turn.
 
-usage: python -m benchmarks.write_path [--repeats 7] [--n-env 64] [--megabytes 600]
+usage: python -m benchmarks.write_path [--repeats 7] [--n-env 64] [--megabytes 1000]
 
-From 400 MB on, state hashes are compiled, as in a capture of that size. Rates by the clock depend on what else the
+From 1 GB on, state hashes are compiled, as in a capture of that size. Rates by the clock depend on what else the
 machine does; the CPU time for each byte, of all threads, depends on it less.
 """
 
@@ -70,7 +70,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__)
     p.add_argument("--repeats", type=int, default=7)
     p.add_argument("--n-env", type=int, default=64)
-    p.add_argument("--megabytes", type=int, default=600, help="of states, at least")
+    p.add_argument("--megabytes", type=int, default=1000, help="of states, at least")
     a = p.parse_args()
     fields = [body_field("cubes", name, "float32", tuple(map(str, range(28)))) for name in BODY_FIELDS]
     rng = np.random.default_rng(0)

@@ -36,6 +36,9 @@ def state_name(field: StateField) -> str:
     return f"state {field.name}"
 
 
+_LENGTH = struct.Struct("<Q")
+
+
 class ContentDigest:
     """Digests of the streams of one recording, fed in canonical order."""
 
@@ -73,8 +76,10 @@ class ContentDigest:
 
         Different topics may be fed by different threads.
         """
-        digest = self._hashes.setdefault(topic, hashlib.sha256())
-        digest.update(struct.pack("<Q", sum(map(len, parts))))
+        digest = self._hashes.get(topic)
+        if digest is None:
+            digest = self._hashes.setdefault(topic, hashlib.sha256())
+        digest.update(_LENGTH.pack(sum(map(len, parts))))
         for part in parts:
             digest.update(part)
 

@@ -32,8 +32,8 @@ _WORDS = 1 << 16  # at a time: few enough for a core's cache, many enough for se
 _FEW_WORDS = 24
 _MASK = (1 << 64) - 1
 
-COMPILED_BYTES = 400_000_000
-"""Of states, from which on compiled hashes pay: numpy takes about as long for them as numba takes to be loaded."""
+COMPILED_BYTES = 1_000_000_000
+"""Of states, from which on compiled hashes pay: numpy takes about as long for them as it takes to load numba."""
 
 _of_thread = threading.local()
 _expecting = threading.Lock()

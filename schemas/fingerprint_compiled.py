@@ -32,7 +32,7 @@ def _made() -> Callable[[Any, int, Any], None]:
         made = numba.njit(cache=True, nogil=True)(_add_hashes)
     except RuntimeError:  # neither the folder of this file nor the user's cache can be written to
         made = numba.njit(nogil=True)(_add_hashes)
-    for word in (np.uint32, np.uint64):
+    for word in (np.uint32, np.uint64):  # now, and not while states are captured
         made(np.zeros((1, 1), dtype=word), 0, np.zeros(1, dtype=np.uint64))
     compiled: Callable[[Any, int, Any], None] = made
     return compiled

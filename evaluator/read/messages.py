@@ -61,18 +61,26 @@ class Messages:
     def each(self, topic: str, message: str) -> Iterator[Any]:
         """The same one after another, however many."""
         room = _FREE_BYTES + _MOST_PER_BYTE * self._container.size
+        parse = message_class(message).FromString
         for content in self.contents(topic) if self.has(topic) else ():
             room -= len(content)
             if room < 0 or len(content) > MAX_MESSAGE_BYTES:
                 raise self.damaged(f"{topic} unpacks into more than is read of a file of this size")
-            yield self.parse(message, content)
+            try:
+                parsed = parse(bytes(content))
+            except Exception as error:  # protobuf's DecodeError differs between its backends
+                raise self._unparsed(message, error) from None
+            yield parsed
 
     def parse(self, message: str, content: memoryview) -> Any:
         """One message; DamagedRecording where it is none of that type."""
         try:
             return message_class(message).FromString(bytes(content))
-        except Exception as error:  # protobuf's DecodeError differs between its backends
-            raise DamagedRecording(f"{self.path}: a {message} message cannot be parsed: {error}") from None
+        except Exception as error:
+            raise self._unparsed(message, error) from None
+
+    def _unparsed(self, message: str, error: Exception) -> DamagedRecording:
+        return self.damaged(f"a {message} message cannot be parsed: {error}")
 
     def damaged(self, what: str) -> DamagedRecording:
         """The error that names the file."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import struct
 import zlib
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import repeat
 
 from gpusimbench.schemas import FORMAT
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording
@@ -19,6 +21,7 @@ from gpusimbench.schemas.mcap.records import (
     MAGIC,
     MESSAGE_HEAD,
     RECORD_HEAD,
+    WHOLE_MESSAGE_HEAD,
     Attachment,
     Footer,
     Header,
@@ -115,6 +118,28 @@ class Contents:
         entries = iter(self._messages.get(channel, ()))
         for log_time, chunk, offset in zip(entries, entries, entries, strict=True):
             yield Message(channel, log_time, chunk - 1, offset)
+
+    def in_order(self, topic: str) -> list[tuple[int, int, int, int]]:
+        """The messages of a topic as they lie in the file: chunk + 1, offset, log time and channel of each."""
+        self._look_for(topic)
+        places: list[tuple[int, int, int, int]] = []
+        for number in self.declared.numbers.get(topic, ()):
+            entries = self._messages.get(number, array("Q"))
+            places += zip(entries[1::3], entries[2::3], entries[::3], repeat(number))
+        places.sort()
+        return places
+
+    def message_in(self, data: memoryview, offset: int, log_time: int, channel: int) -> tuple[int, memoryview]:
+        """Sequence number and content of the message that an index says to begin at an offset in a chunk's bytes."""
+        begin = offset + RECORD_HEAD + MESSAGE_HEAD.size
+        if begin > len(data):
+            raise self.damaged("an index points past the end of its chunk")
+        opcode, length, found, sequence, time, _ = WHOLE_MESSAGE_HEAD.unpack_from(data, offset)
+        if opcode != Op.MESSAGE or length < MESSAGE_HEAD.size or (end := offset + RECORD_HEAD + length) > len(data):
+            raise self.damaged("an index points to something that is no message")
+        if (found, time) != (channel, log_time):
+            raise self.damaged("a message and its index disagree on its topic or its time")
+        return sequence, data[begin:end]
 
     def record_in(self, data: memoryview, offset: int) -> Record:
         """The record that begins at an offset in a chunk's bytes."""
@@ -310,16 +335,24 @@ class Contents:
             )
         self.library = header.library
 
+    def _count(self, messages: int) -> None:
+        self._message_count += messages
+        if self._message_count > (most := most_messages(self.source.size)):
+            raise self.damaged(f"it announces more than {most} messages, which is refused")
+
     def _add(self, channel: int, log_time: int, chunk: int, offset: int) -> None:
-        self._message_count += 1
-        if self._message_count > most_messages(self.source.size):
-            raise self.damaged(f"it announces more than {self._message_count - 1} messages, which is refused")
+        self._count(1)
         self._messages.setdefault(channel, array("Q")).extend((log_time, chunk + 1, offset))
 
     def _add_index(self, record: Record, chunk: int) -> int:
         channel, entries = record.message_index(self.place)
-        for log_time, offset in INDEX_ENTRY.iter_unpack(entries):
-            self._add(channel, log_time, chunk, offset)
+        count = len(entries) // INDEX_ENTRY.size
+        self._count(count)
+        if count:
+            values = array("Q", struct.unpack(f"<{2 * count}Q", entries))
+            flat = array("Q", [chunk + 1]) * (3 * count)
+            flat[::3], flat[2::3] = values[::2], values[1::2]
+            self._messages.setdefault(channel, array("Q")).extend(flat)
         return channel
 
     def _add_attachment(self, attachment: Attachment) -> None:

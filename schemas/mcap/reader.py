@@ -14,6 +14,8 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import groupby
+from operator import itemgetter
 
 from gpusimbench.schemas.location import Location, Place
 from gpusimbench.schemas.mcap import decompression
@@ -121,8 +123,7 @@ class Container:
         # Read as they lie, so that each chunk is decompressed once; what comes too early waits, as a copy.
         waiting: dict[int, memoryview] = {}
         expected = held = 0
-        for message in sorted(self._contents.found(topic), key=lambda m: (m.chunk, m.offset)):
-            sequence, content = self.read(message)
+        for sequence, content in self._as_they_lie(topic):
             if sequence < expected or sequence in waiting:
                 raise self._contents.damaged(f"message {sequence} of {topic} is there twice")
             if sequence > expected:
@@ -142,6 +143,19 @@ class Container:
                 expected += 1
         if waiting:
             raise self._contents.damaged(f"message {expected} of {topic} is missing")
+
+    def _as_they_lie(self, topic: str) -> Iterator[tuple[int, memoryview]]:
+        # sequence numbers and contents of a topic's messages; a chunk is opened once for all that it holds
+        contents = self._contents
+        for place, messages in groupby(contents.in_order(topic), key=itemgetter(0)):
+            number = place - 1
+            if number < 0 or contents.sole(number):
+                for _, offset, log_time, channel in messages:
+                    yield self.read(Message(channel, log_time, number, offset))
+                continue
+            data, _ = self._chunks.open(number)
+            for _, offset, log_time, channel in messages:
+                yield contents.message_in(data, offset, log_time, channel)
 
     def attachment(self, name: str) -> bytes | None:
         """An attachment's bytes, checked against its CRC; None where there is none of that name."""

@@ -26,6 +26,7 @@ RECORD_HEAD = 9
 """Opcode and length of a record [byte]."""
 
 MESSAGE_HEAD = struct.Struct("<HIQQ")
+WHOLE_MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # with what begins its record
 """Of a message: channel, sequence, log time, publish time."""
 
 INDEX_ENTRY = struct.Struct("<QQ")
