@@ -22,6 +22,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -116,28 +117,28 @@ def main() -> None:
     p.add_argument("--rounds", type=int, default=9)
     p.add_argument("--physics", action="store_true", help="record qpos and qvel too, of functional tasks")
     a = p.parse_args()
-    name_of_task = a.task or TASKS[a.kind]
-    if a.kind != "gymnasium":
+    name, functional = a.task or TASKS[a.kind], a.kind != "gymnasium"
+    measure, where = partial(one_round, name), ""
+    if functional:
+        import jax
+
         from benchmarks.functional_tasks import task
 
-        made = task(a.kind, name_of_task)
+        measure, where = partial(functional_round, task(a.kind, name), physics=a.physics), jax.devices()[0].device_kind
     found, began, sizes = [], [], []
-    with tempfile.TemporaryDirectory() as name:
-        os.chdir(name)  # where MuJoCo logs that a task's model is old
-        for number in range(a.rounds + (a.kind != "gymnasium")):
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)  # where MuJoCo logs that a task's model is old
+        for number in range(-1 if functional else 0, a.rounds):
             path = Path(f"{number}.mcap")
-            if a.kind == "gymnasium":
-                spent, beginning = one_round(name_of_task, a.n_env, a.steps, path, number)
-            else:
-                spent, beginning = functional_round(made, a.n_env, a.steps, path, number, physics=a.physics)
-            if a.kind != "gymnasium" and not number:
-                continue  # functions are compiled in it
+            spent, beginning = measure(a.n_env, a.steps, path, number + 1)
+            if number < 0:  # functions were compiled
+                continue
             found.append(spent)
             began.append(beginning)
             sizes.append(path.stat().st_size / 1e6)
         os.chdir("/")
-    print(f"machine           {machine()}")
-    print(f"steps             {a.kind} {name_of_task}, {a.n_env} envs, {a.steps} steps, {a.rounds} rounds")
+    print(f"machine           {machine()}{f'; {where}' if where else ''}")
+    print(f"steps             {a.kind} {name}, {a.n_env} envs, {a.steps} steps, {a.rounds} rounds")
     print(f"bare [ms / step]  {spread([bare[0] / (a.steps - 1) * 1e3 for bare, _ in found])}")
     print(f"wrapped / bare    {spread([wrapped[0] / bare[0] for bare, wrapped in found])}")
     print(f"of CPU time       {spread([wrapped[1] / bare[1] for bare, wrapped in found])}")

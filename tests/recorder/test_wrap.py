@@ -17,7 +17,7 @@ from gpusimbench import DamagedRecording, RecordingWriter, UsageError, open_reco
 from gpusimbench.evaluator.read.episode_table import NEEDED
 from gpusimbench.evaluator.read.episodes import Episode, count_episodes, episodes
 from gpusimbench.schemas.fields import array_field
-from tests.conftest import call
+from tests.conftest import call, run_python
 
 gymnasium = pytest.importorskip("gymnasium")
 MODES = ("NextStep", "SameStep", "Disabled")
@@ -289,6 +289,19 @@ def test_what_cannot_be_wrapped(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="is reset before it is stepped"):
         wrap(walks(1, 3, "NextStep"), tmp_path / "a.mcap", steps=1).step(np.zeros((1, 2), np.float32))
     assert not list(tmp_path.iterdir())
+
+
+def test_other_libraries_are_not_loaded() -> None:
+    """Record environments of Gymnasium without JAX and torch, which may be installed for other things."""
+    code = (
+        "import sys, tempfile, gymnasium, gpusimbench\n"
+        "envs = gymnasium.make_vec('CartPole-v1', num_envs=2)\n"
+        "with gpusimbench.wrap(envs, tempfile.mkdtemp() + '/a.mcap', steps=1) as envs:\n"
+        "    envs.reset()\n"
+        "    envs.step(envs.action_space.sample())\n"
+        "print({'jax', 'torch', 'brax'} & set(sys.modules))"
+    )
+    assert run_python(code).stdout.split() == ["set()"]
 
 
 def test_actions_are_recorded_as_they_were_given(tmp_path: Path) -> None:

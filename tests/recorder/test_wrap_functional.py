@@ -86,7 +86,7 @@ def read(path: Path) -> Recording:
     return recording
 
 
-@pytest.mark.parametrize("steps", [1, 49, 50, 120])
+@pytest.mark.parametrize("steps", [1, 49, 50, 170])
 def test_a_recording_has_what_bare_environments_return(steps: int, tmp_path: Path) -> None:
     """Return and record, bit for bit, what the bare environment returns; ends and steps follow from its flags."""
     bare = falling()
@@ -109,8 +109,11 @@ def test_a_recording_has_what_bare_environments_return(steps: int, tmp_path: Pat
     done, cut = (np.stack([f(s) for s in states]) != 0 for f in (lambda s: s.done, lambda s: s.info["truncation"]))
     assert np.array_equal(column(recording, "truncated") != 0, cut)
     assert np.array_equal(column(recording, "terminated") != 0, done & ~cut)
-    if steps == 120:
-        assert (done & ~cut).any() and cut.any()
+    seen, last = column(recording, "observation"), column(recording, "final_observation")
+    assert np.array_equal(last[1:], np.where(done[1:, :, None], seen[:-1], seen[1:]))
+    assert np.array_equal(column(recording, "final_observation_given") != 0, ~done)
+    if steps == 170:
+        assert (done & ~cut).any() and cut.any() and done[51::50].any()  # in the first row of a block, too
     for episode in episodes(recording):
         assert episode.final_known is not episode.ended
         seen, end = episode.observations["observation"], -1 if episode.ended else None
@@ -147,6 +150,21 @@ def test_equal_keys_give_equal_files(tmp_path: Path) -> None:
     assert not compare.compare(found["a"], found["c"]).bit_identical
     told = [found[name].configuration.options.get("rng") for name in ("a", "b", "c", "scan")]
     assert told[0] == told[1] != told[2] and told[3] is None
+
+
+def test_steps_transfer_nothing(tmp_path: Path) -> None:
+    """Send nothing to the device and take nothing from it in the steps of a block, whichever row they fill."""
+    recorded = wrap(falling(), tmp_path / "a.mcap", steps=60, dt=0.1)
+    actions = [jax.device_put(action) for action in drawn(60)]
+    state = recorded.step(recorded.reset(keys()), actions[0])
+    with jax.transfer_guard("disallow"):
+        for action in actions[1:45]:
+            state = recorded.step(state, action)
+        with pytest.raises(Exception, match="Disallowed host-to-device transfer"):
+            state.reward + np.float32(1)
+    for action in actions[45:]:
+        state = recorded.step(state, action)
+    assert read(tmp_path / "a.mcap").status == "complete"
 
 
 def test_resets_of_the_user(tmp_path: Path) -> None:
@@ -230,6 +248,13 @@ def test_what_cannot_be_recorded(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no metric or info named near"):
         recorded = wrap(falling(), tmp_path / "a.mcap", steps=5, dt=0.1, infos=["near"])
         recorded.step(recorded.reset(keys()), drawn(1)[0])
+    with pytest.raises(UsageError, match="tuple has no obs, and is no state"):
+        wrap(falling(), tmp_path / "a.mcap", steps=5, dt=0.1).step((), drawn(1)[0])
+    with pytest.raises(UsageError, match=r"give dt \[s\]"):
+        wrap(falling(), tmp_path / "a.mcap", steps=5)
+    with pytest.raises(UsageError, match="physics is recorded of states with"):
+        recorded = wrap(falling(), tmp_path / "a.mcap", steps=5, dt=0.1, physics=True)
+        recorded.step(recorded.reset(keys()).replace(pipeline_state=None), drawn(1)[0])
     env = falling()
     first = env.reset(keys())
     stacked = jax.tree.map(lambda array: array[None], env.step(first, drawn(1)[0]))

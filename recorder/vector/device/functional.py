@@ -59,7 +59,7 @@ class RecordedFunctional:
         """See the environment."""
         if self._log.ended:
             return self._step(state, action)
-        if states.traced(state.obs, state.reward, action):
+        if states.traced(getattr(state, "obs", None), getattr(state, "reward", None), action):
             raise UsageError(_TRACED.format("step"))
         self._log.past_the_end()
         if self._log.ended:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from gpusimbench.recorder.simulators.jax.runtime import name_of
 from gpusimbench.recorder.vector.device.history import DONE, INFO, TRUNCATION
 from gpusimbench.recorder.vector.device.log import About
 from gpusimbench.recorder.vector.modes import Mode
@@ -121,7 +122,7 @@ def about(env: Any, state: Any, options: Mapping[str, str]) -> About:
         simulator=package,
         version=number,
         scene=type(whole).__name__,
-        device="cpu" if device.platform == "cpu" else device.device_kind,
+        device=name_of(device),
         mode=Mode.SAME_STEP if hidden else Mode.DISABLED,
         hidden=hidden,
         options={**options, **({"env_wrappers": wrappers} if wrappers else {}), "jax": version("jax")},

@@ -59,10 +59,11 @@ class TorchRows(Rows):
                 host[name].copy_(block[:filled], non_blocking=True)
                 if not events:
                     events.append(torch.cuda.Event())
+                    stream = torch.cuda.current_stream(block.device)
             else:
                 host[name] = block[:filled]
         for event in events:
-            event.record()
+            event.record(stream)
         self._block = {name: block for name, block in self._block.items() if block.is_cuda}
 
         def arrived() -> Columns:
