@@ -1,4 +1,4 @@
-"""Redraws tables of recordings/h200/README.md, README.md, docs/determinism.md and docs/probe.md from recordings.
+"""Redraws tables of README.md, docs/determinism.md, docs/probe.md and the cards of recordings/h200 and h100.
 
 usage: python docs/make_h200.py
 """
@@ -36,6 +36,7 @@ from gpusimbench.evaluator.runs.groups import GroupKey
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "recordings" / "h200"
+OF_PROTOCOL = ROOT / "recordings" / "h100"
 PROBED = (ROOT / "recordings" / "probe", ROOT / "recordings" / "probe-h100")
 BEGIN, END = "<!-- {}: make figures -->", "<!-- end of {} -->"
 _SCENE = "inclined-collision"
@@ -265,8 +266,11 @@ def pages(evaluation: Evaluation) -> dict[Path, str]:
     asked = ROOT / "docs" / "probe.md"
     page = with_block(card.read_text(encoding="utf-8"), "verdicts", verdicts(evaluation))
     page = with_block(page, "sweeps", sweeps(evaluation))
+    second = OF_PROTOCOL / "README.md"
+    timed_runs = evaluate_files(sorted(one for one in OF_PROTOCOL.glob("*.mcap") if "dense" not in one.name))
     return {
         card: page,
+        second: with_block(second.read_text(encoding="utf-8"), "verdicts", verdicts(timed_runs)),
         readme: with_block(
             with_block(readme.read_text(encoding="utf-8"), "h200", answers(evaluation)), "probe", invariance(whole=True)
         ),
