@@ -2,9 +2,9 @@
 
 usage: python docs/make_models.py
 
-Each folder holds runs of one model file under the same controls, one run an engine and device. A cell is the largest
-distance of a body with a free joint from where MuJoCo C has it, over environments; of a model without such bodies, the
-largest difference of a joint coordinate [rad, and m for slides].
+Each folder holds runs of one model file under the same controls, one run an engine, device and friction cone. A cell is
+the largest distance of a body with a free joint from where MuJoCo C has it with the same cone, over environments; of a
+model without such bodies, the largest difference of a joint coordinate [rad, and m for slides].
 """
 
 from __future__ import annotations
@@ -45,9 +45,14 @@ def page(folder: str) -> Path:
 
 
 def runs(folder: str) -> list[Recording]:
-    """The recordings of a folder in the order of rows, MuJoCo C first."""
+    """The recordings of a folder in the order of rows, MuJoCo C first, those with a cone of their own last."""
     opened = [open_recording(path) for path in sorted(page(folder).parent.glob("*.mcap"))]
-    return sorted(opened, key=lambda run: (list(NAMES).index(run.configuration.simulator), device(run)))
+    return sorted(opened, key=lambda run: (cone(run), list(NAMES).index(run.configuration.simulator), device(run)))
+
+
+def cone(run: Recording) -> str:
+    """The friction cone that was asked for instead of the model's own; empty where none was."""
+    return str(run.configuration.options.get("cone", ""))
 
 
 def device(run: Recording) -> str:
@@ -84,8 +89,9 @@ def off(run: Recording, reference: Recording) -> tuple[NDArray[np.float64], bool
 
 def table(folder: str) -> str:
     """A row for each engine and device of a folder but MuJoCo C."""
-    reference, *others = runs(folder)
-    assert reference.configuration.simulator == "mujoco"
+    found = runs(folder)
+    references = {cone(run): run for run in found if run.configuration.simulator == "mujoco"}
+    others = [run for run in found if run.configuration.simulator != "mujoco"]
     times = TIMES[folder]
     lines = [_row(["engine", "device", *(f"{time:g} s" for time in times)]), "| " + "--- | " * (2 + len(times))]
     for run in others:
@@ -94,12 +100,13 @@ def table(folder: str) -> str:
                 _row([NAMES[run.configuration.simulator], "", f"refused: {run.reason}", *[""] * (len(times) - 1)])
             )
             continue
-        largest, bodies = off(run, reference)
+        largest, bodies = off(run, references[cone(run)])
         asked = run.configuration
         rows = [round(time / asked.dt / asked.stride) for time in times]
         assert np.allclose(np.array(rows) * asked.dt * asked.stride, times)
         cells = [length(largest[row]) if bodies else f"{largest[row]:.2g}" for row in rows]
-        lines.append(_row([NAMES[asked.simulator], device(run), *cells]))
+        name = NAMES[asked.simulator] + (f", {cone(run)} cones" if cone(run) else "")
+        lines.append(_row([name, device(run), *cells]))
     return "\n".join(line.rstrip() for line in lines)
 
 
