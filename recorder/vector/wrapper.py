@@ -138,7 +138,7 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
 
     def _begin(self, actions: Row) -> None:
         if self._start is None:
-            raise UsageError("call reset first: a vector environment is reset before it is stepped")
+            raise UsageError("a vector environment is reset before it is stepped")
         (seen, seed), n_env = self._start, self.num_envs
         given = {name: np.zeros_like(array) for name, array in actions.items()}
         of_step = {

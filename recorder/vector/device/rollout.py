@@ -52,7 +52,7 @@ def record_rollout(
         for stacked in (True, False)
     )
     if of_states.traced(first, states, actions):
-        raise UsageError("call record_rollout after the scan, outside of functions that JAX compiles")
+        raise UsageError("record_rollout is called behind the scan, outside of functions that JAX compiles")
     rows = layout.row(states, actions)
     begin = alone.first(first, mapped(lambda array: array[0], actions))
     steps = len(rows["reward"])

@@ -110,7 +110,7 @@ class RecordedTensors:
             given = self._given(action)  # before the environment may change them
             self._log.make_room()
             if not self._log.begun and self._start is None:
-                raise UsageError("call reset first: a vector environment is reset before it is stepped")
+                raise UsageError("a vector environment is reset before it is stepped")
             returned = self.env.step(action)
             row = {**given, **self._row(*returned)}
             if not self._log.begun:
