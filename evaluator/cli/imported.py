@@ -23,12 +23,12 @@ _REFERENCE = "mujoco"
 
 _EPILOG = """\
 Every engine reads a model file by an importer of its own, and what an importer does not know is often dropped without
-a word. gsb-import records, for MuJoCo C and for each engine, the parameters that the engine holds (masses, inertias,
+a message. gsb-import records, for MuJoCo C and for each engine, the parameters that the engine holds (masses, inertias,
 joints, gains, limits, friction, equalities, ...), where its kinematics place the bodies in 16 drawn poses, and how each
 joint moves that begins with a speed, and each actuator that is given a control, within 10 steps. It compares them by
-name and says what differs, by how much, and what is missing. A model with a free body is dropped, too, from its first
-state and without controls: when it first touches the ground, and how much of its weight is carried 0.5 s later, stands
-beside what MuJoCo C says, and is not judged.
+name and says what differs, by how much, and what is missing. A model with a free body is also dropped, from its first
+state and without controls: a table has the time of its first contact with the ground and the share of its weight that
+is carried 0.5 s later, for MuJoCo C and for the engine. The drop is not judged.
 
 Tolerances: numbers may differ by what single precision rounds, bodies by 1e-05 m and 0.0001 rad, velocities of a
 response by 0.1 of what the reference changes in a time step. Trials in which bodies touch are not compared.

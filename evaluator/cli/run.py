@@ -21,8 +21,8 @@ _MOST_RUNS = 1000
 _EPILOG = """\
 The program runs R times, one run after another, each in a process of its own with the environment variable GSB_RUN,
 which names the folder of the run: OUT/run-0, OUT/run-1, ... There, gpusimbench.wrap and RecordingWriter put recordings
-whose path is relative. What the program prints is in output.txt. Processes that it leaves running are killed, on Linux
-also those that made sessions of their own.
+whose path is relative. What the program prints is in output.txt. Processes that the program leaves running are killed;
+on Linux also those that started a session of their own.
 
 The recordings of all runs are compared with those of the first. If the program hashes its policy, gradients or batches
 (log.fingerprint), the verdict says whether one of them, the actions or the simulator differed first.
@@ -31,7 +31,7 @@ exit codes:
   0  all runs wrote the same recordings, bit for bit
   1  a run failed or took longer than --time-limit; those that ended do not differ
   2  wrong usage, or the program cannot be started
-  3  a file of a run is named like a recording and is none, or is damaged; what was compared does not differ
+  3  a file of a run is damaged, or is named like a recording but is none; what was compared does not differ
   4  runs differ
   5  there is nothing to compare, or not all of it: a recording that one run lacks or did not end
 

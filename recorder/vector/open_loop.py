@@ -153,7 +153,7 @@ class _Form:
         arrays = []
         for name, shape in self._leaves:
             if name not in rows[0]:
-                raise UsageError(f"the environment takes {name}, and recorded were {', '.join(rows[0]) or 'none'}")
+                raise UsageError(f"the environment takes {name}; the recording has {', '.join(rows[0]) or 'none'}")
             found = np.stack([row[name] for row in rows])
             if found[0].size != int(np.prod(shape)):
                 raise UsageError(
