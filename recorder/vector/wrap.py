@@ -17,7 +17,7 @@ def wrap(
     envs: Any,
     path: str | Path,
     *,
-    steps: int,
+    steps: int | None = None,
     dt: float | None = None,
     infos: Sequence[str] = (),
     physics: bool = False,
@@ -29,7 +29,8 @@ def wrap(
            wrappers for training: reset(rng) gives a state, step(state, action) the next one
     path   of the recording, which must not exist, in a folder that does; a relative path lies in the folder of the run
            where gsb-run runs the program
-    steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on
+    steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on. None:
+           all calls, until the environment is closed
     dt     simulated time of a step [s]; None: what the task says of it (dt, step_dt, or render_fps of its metadata)
     infos  scalars of the infos that are recorded, such as "success"; "a/b" is b in the dictionary a. Of functional
            environments, keys of the metrics and infos of the state
@@ -42,7 +43,7 @@ def wrap(
     all, since a call of step that begins the next episode makes none. Each of infos gives info_NAME, what the info of
     the step said, and info_NAME_given, 0 where it said nothing. The autoreset mode is read from the metadata of the
     environment. physics gives physics_qpos and physics_qvel, the state of the observation. Units are unknown.
-    Recordings of fewer steps end as failed when the environment is closed.
+    Recordings of fewer than `steps` end as failed when the environment is closed.
 
     A VecEnv gives a VecEnv: the seeds are those that its method seed was given, and the autoreset mode is SameStep.
 
@@ -61,7 +62,7 @@ def wrap(
 
         inner = AsGymnasium(envs, infos)
         return RecordedVecEnv(wrap(inner, path, steps=steps, dt=dt, infos=infos, physics=physics))
-    if steps < 1:
+    if steps is not None and steps < 1:
         raise UsageError(f"at least 1 step is recorded, not {steps}")
     names = tuple(dict.fromkeys(infos))
     if is_functional(envs):

@@ -36,7 +36,14 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
     """
 
     def __init__(
-        self, envs: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...] = (), physics: bool = False
+        self,
+        envs: Any,
+        path: str | Path,
+        *,
+        steps: int | None,
+        dt: float,
+        infos: tuple[str, ...] = (),
+        physics: bool = False,
     ) -> None:
         super().__init__(envs)
         self._physics = Physics(envs) if physics else None
@@ -165,7 +172,7 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         )  # fmt: skip
         log.__enter__()
         self._log = log
-        rows = min(_ROWS, self._steps + 1)
+        rows = _ROWS if self._steps is None else min(_ROWS, self._steps + 1)
         self._block = {name: np.empty((rows, *array.shape), recorded_dtype(array.dtype)) for name, array in row.items()}
         self._dtypes = {name: array.dtype for name, array in row.items()}
         self._put(0, row)

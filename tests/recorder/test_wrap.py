@@ -264,12 +264,18 @@ def test_how_a_recording_ends(tmp_path: Path) -> None:
         raise KeyError("of the user")
     unused = wrap(walks(1, 3, "SameStep"), tmp_path / "unused.mcap", steps=10)
     unused.close()
+    unannounced = wrap(walks(1, 3, "NextStep"), tmp_path / "unannounced.mcap")
+    play(unannounced, 70)
+    unannounced.close()
     found = {path.stem: open_recording(path) for path in tmp_path.glob("*.mcap")}
     assert {name: (r.status, r.reason) for name, r in found.items()} == {
         "short": ("failed", "states end at step 4 of 10"),
         "broken": ("failed", "RuntimeError: the motor is hot"),
         "mine": ("failed", "KeyError: 'of the user'"),
+        "unannounced": ("complete", ""),
     }
+    assert found["unannounced"].configuration.steps == 70
+    assert len(found["unannounced"].state("env", "reward")) == 71
     made = found["broken"].state("env", "stepped")[1:, 0, 0, 0]
     assert made.sum() == 2
 

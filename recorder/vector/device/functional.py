@@ -26,7 +26,14 @@ class RecordedFunctional:
     """
 
     def __init__(
-        self, env: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...] = (), physics: bool = False
+        self,
+        env: Any,
+        path: str | Path,
+        *,
+        steps: int | None,
+        dt: float,
+        infos: tuple[str, ...] = (),
+        physics: bool = False,
     ) -> None:
         import jax
 

@@ -48,7 +48,7 @@ class HostLog:
     path, steps, dt  as of gpusimbench.wrap
     """
 
-    def __init__(self, path: str | Path, *, steps: int, dt: float, about: About) -> None:
+    def __init__(self, path: str | Path, *, steps: int | None, dt: float, about: About) -> None:
         self._path, self._steps, self._dt, self._about = path, steps, dt, about
         self._history: History | None = None
         self._writer: RecordingWriter | None = None
@@ -104,7 +104,7 @@ class DeviceLog:
     ended  whether the recording has ended
     """
 
-    def __init__(self, rows: Rows, steps: int) -> None:
+    def __init__(self, rows: Rows, steps: int | None) -> None:
         self._rows, self._steps = rows, steps
         self._log: HostLog | None = None
         self._writing: Writing[_Job] | None = None

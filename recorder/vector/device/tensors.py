@@ -44,7 +44,7 @@ def told_by(envs: Any, name: str) -> Any:
     return getattr(getattr(envs, "unwrapped", None), name, None) if found is None else found
 
 
-def recorded_tensors(envs: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...]) -> Any:
+def recorded_tensors(envs: Any, path: str | Path, *, steps: int | None, dt: float, infos: tuple[str, ...]) -> Any:
     """The environments, recorded; what Gymnasium takes for a vector or an environment is taken for it still."""
     base: type = _Plain
     if gymnasium := sys.modules.get("gymnasium"):
@@ -71,7 +71,7 @@ class RecordedTensors:
     env: Any
     _log: DeviceLog
 
-    def _record(self, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...]) -> None:
+    def _record(self, path: str | Path, *, steps: int | None, dt: float, infos: tuple[str, ...]) -> None:
         self._path, self._steps, self._dt, self._told = path, steps, dt, infos
         self._n_env = int(told_by(self.env, "num_envs"))
         hiding = _package(self.env) in _HIDING
