@@ -9,6 +9,7 @@ from typing import Any
 
 from gpusimbench.recorder.vector.device import states, tensors
 from gpusimbench.recorder.vector.device.states import is_functional
+from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.schemas.errors import UsageError
 
@@ -21,6 +22,7 @@ def wrap(
     dt: float | None = None,
     infos: Sequence[str] = (),
     physics: bool = False,
+    images: str = Images.HASH.value,
 ) -> Any:
     """Record vector environments while they are used: the same interface, and a file.
 
@@ -36,6 +38,8 @@ def wrap(
            environments, keys of the metrics and infos of the state
     physics  whether MuJoCo's qpos and qvel are recorded, for gsb-replay: of tasks of Gymnasium in this process, and of
            functional environments
+    images  what is recorded of observations of uint8 with three axes or more: "hash", a 64-bit hash of each frame (16
+            bytes), by which gsb-diff finds the first that differs, or "numbers", all of them in float32
 
     Row 0 is the reset, row k the k-th call of step, of every environment:
     action, observation (that the next action is for), reward, terminated, truncated, final_observation (what step
@@ -53,7 +57,7 @@ def wrap(
     final_observation_given is 0 there.
 
     Returns the wrapped environment. Raises UsageError where steps or dt cannot be, dt or the autoreset mode is not
-    known, or physics of another task is asked for.
+    known, physics of another task is asked for, or images is another word.
     """
     if isinstance(infos, str):
         raise UsageError(f'infos is a list of names, such as ("{infos}",)')
@@ -61,25 +65,25 @@ def wrap(
         from gpusimbench.recorder.vector.stable_baselines import AsGymnasium, RecordedVecEnv
 
         inner = AsGymnasium(envs, infos)
-        return RecordedVecEnv(wrap(inner, path, steps=steps, dt=dt, infos=infos, physics=physics))
+        return RecordedVecEnv(wrap(inner, path, steps=steps, dt=dt, infos=infos, physics=physics, images=images))
     if steps is not None and steps < 1:
         raise UsageError(f"at least 1 step is recorded, not {steps}")
-    names = tuple(dict.fromkeys(infos))
+    names, how = tuple(dict.fromkeys(infos)), Images.of(images)
     if is_functional(envs):
         from gpusimbench.recorder.vector.device.functional import RecordedFunctional
 
         told = given_or(dt, states.step_of(envs))
-        return RecordedFunctional(envs, path, steps=steps, dt=told, infos=names, physics=physics)
+        return RecordedFunctional(envs, path, steps=steps, dt=told, infos=names, physics=physics, images=how)
     told = given_or(dt, next(_told(envs), None))
     if tensors.has_tensors(envs):
         if physics:
             raise UsageError("physics is recorded of MuJoCo's environments, not of those with tensors of torch")
-        return tensors.recorded_tensors(envs, path, steps=steps, dt=told, infos=names)
+        return tensors.recorded_tensors(envs, path, steps=steps, dt=told, infos=names, images=how)
     if mode_of(envs) is Mode.NONE:
         raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
     from gpusimbench.recorder.vector.wrapper import Recorded
 
-    return Recorded(envs, path, steps=steps, dt=told, infos=names, physics=physics)
+    return Recorded(envs, path, steps=steps, dt=told, infos=names, physics=physics, images=how)
 
 
 def step_of(envs: Any) -> float:

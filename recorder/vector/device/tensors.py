@@ -15,6 +15,7 @@ from gpusimbench.recorder.vector.device.history import INFO, Which
 from gpusimbench.recorder.vector.device.log import About, DeviceLog, HostLog
 from gpusimbench.recorder.vector.device.torch_rows import TorchRows
 from gpusimbench.recorder.vector.fields import GIVEN
+from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.infos import FINAL_INFO
 from gpusimbench.recorder.vector.modes import FINAL, Mode, mode_of
 from gpusimbench.schemas.errors import UsageError
@@ -44,14 +45,16 @@ def told_by(envs: Any, name: str) -> Any:
     return getattr(getattr(envs, "unwrapped", None), name, None) if found is None else found
 
 
-def recorded_tensors(envs: Any, path: str | Path, *, steps: int | None, dt: float, infos: tuple[str, ...]) -> Any:
+def recorded_tensors(
+    envs: Any, path: str | Path, *, steps: int | None, dt: float, infos: tuple[str, ...], images: Images
+) -> Any:
     """The environments, recorded; what Gymnasium takes for a vector or an environment is taken for it still."""
     base: type = _Plain
     if gymnasium := sys.modules.get("gymnasium"):
         bases = (gymnasium.vector.VectorEnv, gymnasium.vector.VectorWrapper), (gymnasium.Env, gymnasium.Wrapper)
         base = next((wrapper for kind, wrapper in bases if isinstance(envs, kind)), base)
     recorded = type("RecordedTensors", (RecordedTensors, base), {})(envs)
-    recorded._record(path, steps=steps, dt=dt, infos=infos)
+    recorded._record(path, steps=steps, dt=dt, infos=infos, images=images)
     return recorded
 
 
@@ -71,7 +74,10 @@ class RecordedTensors:
     env: Any
     _log: DeviceLog
 
-    def _record(self, path: str | Path, *, steps: int | None, dt: float, infos: tuple[str, ...]) -> None:
+    def _record(
+        self, path: str | Path, *, steps: int | None, dt: float, infos: tuple[str, ...], images: Images
+    ) -> None:
+        self._images = images
         self._path, self._steps, self._dt, self._told = path, steps, dt, infos
         self._n_env = int(told_by(self.env, "num_envs"))
         hiding = _package(self.env) in _HIDING
@@ -205,6 +211,7 @@ class RecordedTensors:
             hidden=self._hidden,
             options=options,
             seed=int(self._seed) if integral else 0,
+            images=self._images,
         )
 
 
