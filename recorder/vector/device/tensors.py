@@ -23,7 +23,7 @@ from gpusimbench.schemas.trees import leaves
 from gpusimbench.schemas.vector import FINAL_GIVEN
 
 _HIDING = ("isaaclab", "mjlab")
-"""Packages whose environments are reset within step, and do not tell the last observations of episodes."""
+"""Packages whose environments are reset within step, and tell the last observations of episodes only if asked to."""
 
 _ORIGINS = {"mani_skill": "mani-skill", "isaaclab": "isaaclab", "mjlab": "mjlab"}
 
@@ -81,10 +81,11 @@ class RecordedTensors:
         self._path, self._steps, self._dt, self._told = path, steps, dt, infos
         self._n_env = int(told_by(self.env, "num_envs"))
         hiding = _package(self.env) in _HIDING
+        tells = bool(getattr(told_by(self.env, "cfg"), "compute_final_obs", False))  # of Isaac Lab
         self._mode = Mode.SAME_STEP if hiding else mode_of(self.env)
         if False in (told_by(self.env, "auto_reset"), getattr(told_by(self.env, "cfg"), "auto_reset", None)):
             self._mode = Mode.DISABLED  # whatever the metadata of ManiSkill say
-        self._hidden = hiding and self._mode is Mode.SAME_STEP
+        self._hidden = hiding and not tells and self._mode is Mode.SAME_STEP
         if self._mode is Mode.NONE:
             raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
         self._log = DeviceLog(TorchRows(), steps)
