@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections import defaultdict
 from pathlib import Path
@@ -354,6 +355,16 @@ def test_what_the_commands_say(tmp_path: Path) -> None:
     assert "unknown and" not in other.stdout
     found = call("gsb-eval", tmp_path / "a.mcap", tmp_path / "b.mcap", code=0)
     assert found.stdout.startswith("gymnasium: all 2 runs are bit-identical")
+    whole = [tmp_path / f"{name}.mcap" for name in "ac"]
+    call("gsb-eval", *whole, "--html", tmp_path / "page", "--tables", tmp_path / "tables", "--format", "csv", code=0)
+    other_counts = count_episodes(open_recording(whole[1]))
+    assert other_counts is not None
+    rows = list(csv.reader((tmp_path / "tables" / "episodes.csv").read_text(encoding="utf-8").splitlines()))
+    assert {row[2] for row in rows[1:]} == {"120"}
+    assert {row[3] for row in rows[1:]} == {str(counts.ended), str(other_counts.ended)}
+    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+    assert f"{counts.ended + other_counts.ended} episodes ended" in page
+    assert f"{counts.mean_return:.4g}" in page
     everything = call("gsb-eval", tmp_path / "a.mcap", tmp_path / "b.mcap", "--all").stdout
     assert "seeds and actions of environments differ by design" in " ".join(everything.split())
     assert call("gsb-check", *sorted(tmp_path.glob("*.mcap"))).returncode == 0
