@@ -74,7 +74,8 @@ class RecordingWriter:
     n_env, dt      environments, and the step [s]
     steps          captured after the first state; None: those of which states are given until the block ends
     fields         layout of the state, as recorder.simulators.base.Description has it (schemas.fields.body_field);
-                   observations, actions, rewards and flags are arrays (schemas.fields.array_field)
+                   observations, actions, rewards and flags are arrays (schemas.fields.array_field), images are
+                   hashes of frames (schemas.images)
     device         "cpu", or the name of the GPU that steps
     stride         every how many steps a state is recorded; divides `steps`
     warmup         steps before the timed ones

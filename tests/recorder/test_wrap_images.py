@@ -13,6 +13,7 @@ from gpusimbench import open_recording, wrap
 from gpusimbench.evaluator.cli.check import main as check
 from gpusimbench.evaluator.cli.diff import main as diff
 from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.replay.cli import main as replay
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.images import image_hash_field, image_hashes
 from tests.recorder.test_wrap import MODES
@@ -111,6 +112,22 @@ def test_numbers_of_images_on_demand(tmp_path: Path) -> None:
     assert "images" not in recording.configuration.options
     with pytest.raises(UsageError, match="images is 'hash' or 'numbers', not 'none'"):
         played(tmp_path / "b.mcap", images="none")
+
+
+def cameras(n_env: int) -> Any:
+    """What gsb-replay steps."""
+    return gymnasium.vector.SyncVectorEnv([Camera] * n_env, autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP)
+
+
+@pytest.mark.parametrize("images", ["hash", "numbers"])
+def test_images_are_replayed(images: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Replay with what was recorded of images, so that every observation is compared."""
+    played(tmp_path / "a.mcap", images=images)
+    again = tmp_path / "again.mcap"
+    assert replay([str(tmp_path / "a.mcap"), "--make", f"{__name__}:cameras", "--out", str(again)]) == 0
+    assert "bit-identical" in capsys.readouterr().out
+    names = {field.field for field in open_recording(again).fields}
+    assert ("observation_pixels_hash" in names, "observation_pixels" in names) == (images == "hash", images != "hash")
 
 
 def test_programs_record_hashes_of_their_cameras(tmp_path: Path) -> None:
