@@ -66,12 +66,16 @@ engines:
 environments: $(VENV)/.installed-test
 	for engine in $(ENGINES); do $(BIN)/gsb-record --setup $$engine || exit; done
 
-# Tests that load an engine run in its environment, with the tools of testing lent to it.
+# Tests that load an engine run in its environment, with the tools of testing lent to it. Isaac Lab's tasks need Gymnasium,
+# whose numpy is the environment's; recording scenes does not.
+OF_TASKS := gymnasium cloudpickle farama-notifications typing-extensions
 test-engines: environments
 	for engine in $(ENGINES); do \
 	  python="$(GSB_ENVIRONMENTS)/$$engine/bin/python"; tools="$(abspath $(VENV))/lent/$$engine"; \
 	  test "$$tools/.whole" -nt "$$python" || { rm -rf "$$tools" && "$$python" -m pip install --quiet \
-	    --disable-pip-version-check --target "$$tools" -c constraints.txt pytest hypothesis && touch "$$tools/.whole"; } || exit; \
+	    --disable-pip-version-check --target "$$tools" -c constraints.txt pytest hypothesis && \
+	    { test $$engine != isaaclab || "$$python" -m pip install --quiet --disable-pip-version-check --target "$$tools" \
+	      --no-deps -c constraints.txt $(OF_TASKS); } && touch "$$tools/.whole"; } || exit; \
 	  PYTHONPATH="$(CURDIR)/src:$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine*.py || exit; \
 	done
 

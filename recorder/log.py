@@ -32,6 +32,7 @@ from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.failure import cause_of
 from gpusimbench.recorder.interruption import postponed
+from gpusimbench.recorder.open_end import closed
 from gpusimbench.recorder.plan import check, utc_now
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
@@ -39,7 +40,7 @@ from gpusimbench.recorder.probes.software import describe_software, package_list
 from gpusimbench.recorder.programs.folder import description, placed
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.configuration import RunConfiguration, open_end
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
 from gpusimbench.schemas.fields import ENV, StateField
 from gpusimbench.schemas.mcap.writer import COMPRESSIONS
@@ -71,9 +72,10 @@ class RecordingWriter:
     version        of it
     scene          a description, or a name where there is none; cubes and boards are found only in a description
     n_env, dt      environments, and the step [s]
-    steps          captured after the first state
+    steps          captured after the first state; None: those of which states are given until the block ends
     fields         layout of the state, as recorder.simulators.base.Description has it (schemas.fields.body_field);
-                   observations, actions, rewards and flags are arrays (schemas.fields.array_field)
+                   observations, actions, rewards and flags are arrays (schemas.fields.array_field), images are
+                   hashes of frames (schemas.images)
     device         "cpu", or the name of the GPU that steps
     stride         every how many steps a state is recorded; divides `steps`
     warmup         steps before the timed ones
@@ -99,7 +101,7 @@ class RecordingWriter:
         scene: Scene | str,
         n_env: int,
         dt: float,
-        steps: int,
+        steps: int | None,
         fields: Sequence[StateField],
         device: str = "cpu",
         stride: int = 1,
@@ -120,12 +122,13 @@ class RecordingWriter:
         self._scene = scene if isinstance(scene, Scene) else None
         self._attachments = dict(attachments or {})
         options = dict(options or {})
+        self._open = steps is None  # the configuration has the number when the block ends
         self._configuration = RunConfiguration(
             simulator=simulator,
             scene=scene.name if isinstance(scene, Scene) else scene,
             n_env=n_env,
             dt=dt,
-            steps=steps,
+            steps=open_end(stride) if steps is None else steps,
             stride=stride,
             warmup=warmup,
             timed_steps=timed_steps,
@@ -204,7 +207,7 @@ class RecordingWriter:
         """Open the file and write what is known. UsageError where it cannot be made."""
         c = self._configuration
         with Gpus() as gpus:
-            provenance = Provenance(
+            self._provenance = Provenance(
                 run_id=str(uuid.uuid4()),
                 created_utc=utc_now(),
                 argv=tuple(sys.argv),
@@ -215,7 +218,7 @@ class RecordingWriter:
                 environment=numeric_environment(),
             )
         attached = {
-            PROVENANCE: ("application/json", provenance.to_json().encode()),
+            PROVENANCE: ("application/json", self._provenance.to_json().encode()),
             PACKAGES: ("text/plain", package_list().encode()),
             SIMULATION: ("application/json", self._simulation.to_json().encode()),
             **({SCENE: ("application/json", self._scene.to_json().encode())} if self._scene else {}),
@@ -363,6 +366,8 @@ class RecordingWriter:
                     self._sink.abandon()
                     return
                 self._states.flush()
+                if self._open:
+                    self._configuration = closed(self._sink, self._provenance, self._states.last_recorded_step)
                 status, reason, cause = self._outcome(error)
                 last = max(0, self._states.last_recorded_step)
                 self._sink.finish(status, reason, cause=cause, last_step=last, peak_rss_bytes=peak_rss_bytes())

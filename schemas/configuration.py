@@ -39,7 +39,7 @@ class RunConfiguration:
     scene        name in the registry of scenes
     n_env        number of identical environments
     dt           simulator step [s]
-    steps        last captured step; the scene's first state is step 0
+    steps        last captured step; the scene's first state is step 0. See open_end
     stride       every how many steps a state is recorded; divides `steps`
     warmup       steps before the timed ones, excluded from throughput
     timed_steps  steps that throughput is computed from
@@ -105,6 +105,11 @@ class RunConfiguration:
     def varied(self) -> dict[str, float]:
         """The spread of each quantity that differs from environment to environment."""
         return dict(Vary.parse(self.vary).spreads) if self.vary else {}
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a program writes, or wrote until it was killed, as many steps as it makes."""
+        return self.steps == open_end(self.stride)
 
     @property
     def first_step(self) -> int:
@@ -183,6 +188,14 @@ def _treatment(
         return text and str(parse(text))
     except ValueError:
         raise DamagedRecording(f"{name} is none that is known: {text[:40]!r}") from None
+
+
+def open_end(stride: int) -> int:
+    """What `steps` is until the end of a recording that does not announce them: the largest that `stride` divides.
+
+    No recording has as many, so that a file whose program was killed lacks steps for every reader.
+    """
+    return checks.MAX_COUNT // max(1, stride) * max(1, stride)
 
 
 def sim_time_ns(step: int, dt: float) -> int:

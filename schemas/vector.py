@@ -5,6 +5,9 @@ from __future__ import annotations
 FINAL_GIVEN = "final_observation_given"
 """The array that is 0 where the last observation of an episode is not known: in recordings made of some data sets."""
 
+IMAGE_HASH = "_hash"
+"""Ends the names of arrays that have hashes of observed images, as schemas.images makes them."""
+
 NOT_GIVEN = "not_given"
 """The option that names arrays for which zeros stand, since a data set lacks them: "reward"."""
 

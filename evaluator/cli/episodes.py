@@ -29,6 +29,7 @@ exit codes:
 examples:
   gsb-episodes policy.mcap --success success --per-env 4
   gsb-episodes policy.mcap --success success --per-env 1 --against baseline.mcap
+  gsb-episodes policy-*.mcap --success success --per-env 4 --across n_env
   gsb-episodes seed0.mcap seed1.mcap --json - | jq .policy.quantities
 """
 
@@ -47,6 +48,11 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--against", nargs="+", type=place, default=[], metavar="FILE",
         help="recordings of another policy; pairs of the same environment and number are formed if they began alike",
+    )  # fmt: skip
+    p.add_argument(
+        "--across", choices=("n_env", "device", "version"), metavar="KEY",
+        help="whether success and return depend on n_env (the number of environments), on the device or on the "
+        "simulator's version, by which the recordings are grouped",
     )  # fmt: skip
     p.add_argument(
         "--per-env", type=int, metavar="K",
@@ -79,6 +85,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     check_target(arguments.json)
     if arguments.per_env is not None and arguments.per_env < 1:
         raise UsageError(f"--per-env is at least 1, not {arguments.per_env}")
+    if arguments.across:
+        if arguments.against:
+            raise UsageError("--across groups the recordings of one policy: leave --against out")
+        return _across(arguments)
     given = [verified(list(expand(files))) for files in (arguments.files, arguments.against) if files]
     check_distinct([recording for side in given for recording in side])
     with stage("evaluating episodes"):
@@ -93,6 +103,35 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         write_json(arguments.json, dump_json(policy, other, compared, profiles(episodes)))
     if arguments.json != "-":
         print_document(episodes_document(policy, other, compared), sys.stdout)
+    return int(ExitCode.OK)
+
+
+def _across(arguments: argparse.Namespace) -> int:
+    from gpusimbench.evaluator.episodes.across_document import across_document, dump_across
+    from gpusimbench.evaluator.episodes.dependence import Across, Setting, dependences, grouped
+    from gpusimbench.evaluator.episodes.outcome import outcome
+    from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side
+    from gpusimbench.evaluator.episodes.success import At
+    from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.render.terminal import print_document
+
+    recordings = verified(list(expand(arguments.files)))
+    check_distinct(recordings)
+    groups = grouped(recordings, arguments.across)
+    with stage("evaluating episodes"):
+        sides = [read_side(group) for group in groups.values()]
+        per_env = arguments.per_env or min(side.at_most for side in sides)
+        chosen, at = Choice.GIVEN if arguments.per_env else Choice.LARGEST, At(arguments.success_at)
+        episodes = [choose(side, per_env, arguments.success, at) for side in sides]
+        settings = [
+            Setting(str(value), outcome(one, chosen, arguments.success, at))
+            for value, one in zip(groups, episodes, strict=True)
+        ]
+        found = Across(arguments.across, tuple(settings), dependences(episodes))
+    if arguments.json:
+        write_json(arguments.json, dump_across(found))
+    if arguments.json != "-":
+        print_document(across_document(found), sys.stdout)
     return int(ExitCode.OK)
 
 

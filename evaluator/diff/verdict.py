@@ -6,6 +6,8 @@ from gpusimbench.evaluator.diff import program_words, words
 from gpusimbench.evaluator.diff.result import Difference, Divergence, Number, Verdict
 from gpusimbench.evaluator.diff.words import WITHOUT_UNIT
 from gpusimbench.evaluator.render.document import Text, Tone
+from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.vector import IMAGE_HASH
 
 
 def verdict_of(found: Difference, who: str = "") -> Text:
@@ -52,6 +54,8 @@ def pair_of(found: Difference, first: Divergence) -> str:
 
 def apart(number: Number) -> str:
     """How far two numbers are apart."""
+    if number.field.startswith(f"{ENV}/") and number.field.endswith(IMAGE_HASH):
+        return "hashes of images that differ"
     parts = [
         f"{words.ulps(number.ulp)} ULP" if number.ulp is not None else "",
         "same rotation, other sign" if number.other_sign else "",

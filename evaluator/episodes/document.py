@@ -40,8 +40,8 @@ def dump_json(policy: Outcome, against: Outcome | None, comparison: Comparison |
     return dump(
         {
             "schema_version": SCHEMA_VERSION,
-            "policy": _record(policy),
-            "against": _record(against) if against else None,
+            "policy": record(policy),
+            "against": record(against) if against else None,
             "comparison": values_of(comparison) if comparison else None,
             "profiles": values_of(profiles),
         }
@@ -55,8 +55,8 @@ def warnings(of: Outcome) -> Iterator[str]:
         if early.biased:
             yield (
                 f"the mean {quantity.name} of the {of.episodes} episodes that finished first is "
-                f"{_number(early.mean, quantity)}, off by {_number(early.difference, quantity, sign=True)} "
-                f"{_range(early.ci95, quantity)}: short episodes are too frequent among them"
+                f"{number(early.mean, quantity.name)}, off by {number(early.difference, quantity.name, sign=True)} "
+                f"{interval(early.ci95, quantity)}: short episodes are too frequent among them"
             )
         for what, p in (("environment", quantity.env_p), ("number of the episode in it", quantity.number_p)):
             if not isinstance(p, Missing) and p < _NOTABLE:
@@ -73,7 +73,8 @@ def warnings(of: Outcome) -> Iterator[str]:
         )
 
 
-def _record(of: Outcome) -> dict[str, object]:
+def record(of: Outcome) -> dict[str, object]:
+    """Of one policy, for JSON."""
     return {**values_of(of), "warnings": list(warnings(of))}
 
 
@@ -87,7 +88,7 @@ def _policy(of: Outcome, title: str) -> Iterator[Block]:
             f"{of.episodes}: the first {_several(of.per_env)}of each of {plural(of.n_env, 'environment')}{lost}",
         ),
         ("ended", f"{of.terminated} terminated, {of.episodes - of.terminated} truncated; {of.mean_length:.4g} steps"),
-        *([("success", f"{of.success} at {_AT[of.success_at.value]}")] if of.success else []),
+        *([("success", f"{of.success} at {AT[of.success_at.value]}")] if of.success else []),
     )
     yield table("episodes", "", _QUANTITIES, [_row(one) for one in of.quantities])
     method = "; ".join(f"{one.name}: {one.method}" for one in of.quantities)
@@ -100,19 +101,20 @@ def _several(number: int) -> str:
     return f"{number} " if number > 1 else ""
 
 
-_AT = {"last": "the last step", "any": "any step"}
+AT = {"last": "the last step", "any": "any step"}
+"""Where a flag counts, in words."""
 
 
 def _row(of: Quantity) -> list[Cell | str]:
     early = of.finish_order
     return [
         of.name,
-        _number(of.mean, of),
-        _range(of.ci95, of),
-        _number(of.iqm, of),
-        _range(of.iqm_ci95, of),
-        Cell(_number(early.mean, of), early.mean, tone=Tone.WARNING if early.biased else Tone.PLAIN),
-        _number(of.least_shown, of),
+        number(of.mean, of.name),
+        interval(of.ci95, of),
+        number(of.iqm, of.name),
+        interval(of.iqm_ci95, of),
+        Cell(number(early.mean, of.name), early.mean, tone=Tone.WARNING if early.biased else Tone.PLAIN),
+        number(of.least_shown, of.name),
     ]
 
 
@@ -140,11 +142,11 @@ def _compared(found: Comparison) -> Iterator[Block]:
 def _compared_row(of: Difference) -> list[Cell | str]:
     return [
         of.name,
-        _number(of.difference, of, sign=True),
-        _range(of.ci95, of),
+        number(of.difference, of.name, sign=True),
+        interval(of.ci95, of),
         f"{of.p_value:.2g}",
         Cell(f"{of.adjusted_p:.2g}", of.adjusted_p, tone=Tone.GOOD if of.differs else Tone.PLAIN),
-        _number(of.least_shown, of),
+        number(of.least_shown, of.name),
     ]
 
 
@@ -153,23 +155,25 @@ def _verdict(found: Comparison) -> str:
     for one in found.differences:
         more = "higher" if one.difference > 0 else "lower"
         if one.differs:
-            said.append(f"{one.name} of the first policy is {more} by {_number(abs(one.difference), one)}")
+            said.append(f"{one.name} of the first policy is {more} by {number(abs(one.difference), one.name)}")
         else:
             least = known(one.least_shown)
-            seen = f" (differences from {_number(least, one)} on would mostly be seen)" if least else ""
+            seen = f" (differences from {number(least, one.name)} on would mostly be seen)" if least else ""
             said.append(f"{one.name}: no difference can be told{seen}")
     return "; ".join(said)
 
 
-def _number(value: float | Missing, of: Quantity | Difference, *, sign: bool = False) -> str:
+def number(value: float | Missing, name: str, *, sign: bool = False) -> str:
+    """A value of the quantity of that name; a dash where there is none."""
     if isinstance(value, Missing):
         return NONE
-    if of.name == SUCCESS:
+    if name == SUCCESS:
         return f"{100 * value:{'+' if sign else ''}.1f} %"
     return f"{value:{'+' if sign else ''}.4g}"
 
 
-def _range(interval: tuple[float, float] | Missing, of: Quantity | Difference) -> str:
-    if isinstance(interval, Missing):
+def interval(ends: tuple[float, float] | Missing, of: Quantity | Difference) -> str:
+    """An interval of a quantity; a dash where there is none."""
+    if isinstance(ends, Missing):
         return NONE
-    return f"[{', '.join(_number(end, of) for end in interval)}]"
+    return f"[{', '.join(number(end, of.name) for end in ends)}]"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.view.kinematics import ROBOT
 from gpusimbench.schemas.view.motion import Frame, Motion, absolute
 from gpusimbench.schemas.view.shapes import Shape
@@ -71,6 +72,8 @@ def nothing_shown(recording: Recording) -> str:
     captured = any(len(recording.state(field.group, field.field)) for field in recording.fields)
     if not captured or _motion(recording, 0).fields:
         return "holds no states of bodies or joints; there is nothing to show"
+    if all(field.group == ENV for field in recording.fields):
+        return "holds observations and actions of a task, and no positions of bodies; there is nothing to draw"
     groups = ", ".join(dict.fromkeys(field.group for field in recording.fields))
     return f"holds states of {groups}, of which no place follows: scene.json describes no robot that they move"
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.diff.arrays import ArrayDivergence, Rows, compare_arrays
 from gpusimbench.evaluator.read.episodes import Episode
+from gpusimbench.schemas.vector import IMAGE_HASH
 
 REWARD = "reward"
 
@@ -183,7 +184,7 @@ def _apart(a: NDArray[np.float64], b: NDArray[np.float64], bound: float) -> list
 
 def _largest(a: dict[str, Rows], b: dict[str, Rows], names: list[str]) -> Largest | None:
     found: list[Largest] = []
-    for name in (name for name in names if name in b):
+    for name in (name for name in names if name in b and not name.endswith(IMAGE_HASH)):
         first, second = (rows[name].values.astype(np.float64) for rows in (a, b))
         if first.shape != second.shape:
             continue

@@ -14,6 +14,7 @@ from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sentence
 from gpusimbench.evaluator.report.sections.convergence import sentence
+from gpusimbench.evaluator.report.sections.episodes import counts_of, mean_of
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -93,17 +94,15 @@ def _one(result: GroupResult) -> Facts:
 
 
 def _episodes(result: GroupResult) -> str:
-    runs = [run.episodes for run in result.group.complete if not isinstance(run.episodes, Missing)]
+    runs = counts_of(result)
     ended = sum(run.ended for run in runs)
     if not runs:
         return ""
     if not ended:
         return f"none ended within the {plural(sum(run.steps for run in runs), 'recorded step')}"
-    length, total = (
-        sum(value * run.ended for run, value in zip(runs, values, strict=True) if value is not None) / ended
-        for values in ([run.mean_length for run in runs], [run.mean_return for run in runs])
-    )
-    return f"{ended:,} ended in {plural(len(runs), 'run')}, mean length {length:.4g} steps, mean return {total:.4g}"
+    length, total = (mean_of(runs, name) for name in ("mean_length", "mean_return"))
+    returned = "" if total is None else f", mean return {total:.4g}"
+    return f"{ended:,} ended in {plural(len(runs), 'run')}, mean length {length:.4g} steps{returned}"
 
 
 def _several(evaluation: Evaluation) -> Iterator[Block]:

@@ -189,7 +189,8 @@ def _asked(c: RunConfiguration) -> Iterator[str]:
         if c.keep:
             kept = f"those of failing environments alone ({c.keep})"
         begin = f" from step {c.first_step} on" if c.first_step else ""
-        yield f"{plural(c.captured_steps, 'captured step')}{begin}, {kept} kept"
+        steps = "an unannounced number of captured steps" if c.is_open else plural(c.captured_steps, "captured step")
+        yield f"{steps}{begin}, {kept} kept"
 
 
 def _pairs(values: dict[str, Any], given: dict[str, str]) -> str:

@@ -71,6 +71,12 @@ class Sink:
             self._digest.attachment(name, data)
             self._writer.attachment(name, media_type, data, log_time=now, create_time=now)
 
+    def rewrite(self, name: str, data: bytes) -> None:
+        """Other data of the same size in place of those of an attachment, such as what is known only at the end."""
+        with self._disk():
+            self._digest.attachment(name, data)
+            self._writer.rewrite_attachment(name, data)
+
     def channel(self, topic: str, message: str, metadata: dict[str, str] | None = None) -> None:
         """Declare a topic and the message type that it carries."""
         with self._disk():

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.vector.images import HASH
 from gpusimbench.schemas.fields import DIMENSIONLESS, FIELD_KINDS, UNKNOWN, StateField, array_field
 
 NO_STEP = "at step 0, which no step of the environment leads to, 0 stands for it"
@@ -51,7 +52,7 @@ def fields_of(row: Mapping[str, NDArray[Any]], notes: Mapping[str, str]) -> tupl
             array.dtype,
             array.shape[1:],
             *([notes[name]] if name in notes else []),
-            unit=DIMENSIONLESS if name in FACTS or name.endswith(GIVEN) else UNKNOWN,
+            unit=DIMENSIONLESS if name in FACTS or name.endswith((GIVEN, HASH)) else UNKNOWN,
         )
         for name, array in row.items()
     )

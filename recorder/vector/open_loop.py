@@ -63,6 +63,7 @@ def replay(
     infos: Sequence[str] = (),
     needed: str = "",
     dt: float,
+    images: str = "hash",
 ) -> None:
     """Reset an environment, feed it the actions of every episode in order, and record what it does.
 
@@ -72,7 +73,7 @@ def replay(
     seed   of the first reset: a number, one for each environment, or None
     infos  as of wrap
     needed  an info that some environment gives in its first step; an empty one: none is needed
-    dt     as of wrap [s]; physics is recorded where parts begin in states
+    dt, images  as of wrap; physics is recorded where parts begin in states
 
     An environment whose episode ends earlier than its actions goes on with its next episode. With the autoreset mode
     Disabled, one whose episode has not ended after its last action is reset; in other modes it is fed the last action
@@ -90,7 +91,7 @@ def replay(
     for place in places:
         place.last = {name: array[0] for name, array in spare.actions.items()}
     physics = any(part.state is not None for of_env in parts for part in of_env)
-    with wrap(envs, path, steps=steps, dt=dt, infos=infos, physics=physics) as recorded:
+    with wrap(envs, path, steps=steps, dt=dt, infos=infos, physics=physics, images=images) as recorded:
         form = _Form(recorded.action_space)
         form.check(part for of_env in parts for part in of_env)
         begin_at(envs, _starts(places))

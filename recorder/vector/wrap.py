@@ -9,6 +9,7 @@ from typing import Any
 
 from gpusimbench.recorder.vector.device import states, tensors
 from gpusimbench.recorder.vector.device.states import is_functional
+from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.schemas.errors import UsageError
 
@@ -17,10 +18,11 @@ def wrap(
     envs: Any,
     path: str | Path,
     *,
-    steps: int,
+    steps: int | None = None,
     dt: float | None = None,
     infos: Sequence[str] = (),
     physics: bool = False,
+    images: str = Images.HASH.value,
 ) -> Any:
     """Record vector environments while they are used: the same interface, and a file.
 
@@ -29,12 +31,15 @@ def wrap(
            wrappers for training: reset(rng) gives a state, step(state, action) the next one
     path   of the recording, which must not exist, in a folder that does; a relative path lies in the folder of the run
            where gsb-run runs the program
-    steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on
+    steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on. None:
+           all calls, until the environment is closed
     dt     simulated time of a step [s]; None: what the task says of it (dt, step_dt, or render_fps of its metadata)
     infos  scalars of the infos that are recorded, such as "success"; "a/b" is b in the dictionary a. Of functional
            environments, keys of the metrics and infos of the state
     physics  whether MuJoCo's qpos and qvel are recorded, for gsb-replay: of tasks of Gymnasium in this process, and of
            functional environments
+    images  what is recorded of observations of uint8 with three axes or more: "hash", a 64-bit hash of each frame (16
+            bytes), by which gsb-diff finds the first that differs, or "numbers", all of them in float32
 
     Row 0 is the reset, row k the k-th call of step, of every environment:
     action, observation (that the next action is for), reward, terminated, truncated, final_observation (what step
@@ -42,7 +47,7 @@ def wrap(
     all, since a call of step that begins the next episode makes none. Each of infos gives info_NAME, what the info of
     the step said, and info_NAME_given, 0 where it said nothing. The autoreset mode is read from the metadata of the
     environment. physics gives physics_qpos and physics_qvel, the state of the observation. Units are unknown.
-    Recordings of fewer steps end as failed when the environment is closed.
+    Recordings of fewer than `steps` end as failed when the environment is closed.
 
     A VecEnv gives a VecEnv: the seeds are those that its method seed was given, and the autoreset mode is SameStep.
 
@@ -52,7 +57,7 @@ def wrap(
     final_observation_given is 0 there.
 
     Returns the wrapped environment. Raises UsageError where steps or dt cannot be, dt or the autoreset mode is not
-    known, or physics of another task is asked for.
+    known, physics of another task is asked for, or images is another word.
     """
     if isinstance(infos, str):
         raise UsageError(f'infos is a list of names, such as ("{infos}",)')
@@ -60,25 +65,25 @@ def wrap(
         from gpusimbench.recorder.vector.stable_baselines import AsGymnasium, RecordedVecEnv
 
         inner = AsGymnasium(envs, infos)
-        return RecordedVecEnv(wrap(inner, path, steps=steps, dt=dt, infos=infos, physics=physics))
-    if steps < 1:
+        return RecordedVecEnv(wrap(inner, path, steps=steps, dt=dt, infos=infos, physics=physics, images=images))
+    if steps is not None and steps < 1:
         raise UsageError(f"at least 1 step is recorded, not {steps}")
-    names = tuple(dict.fromkeys(infos))
+    names, how = tuple(dict.fromkeys(infos)), Images.of(images)
     if is_functional(envs):
         from gpusimbench.recorder.vector.device.functional import RecordedFunctional
 
         told = given_or(dt, states.step_of(envs))
-        return RecordedFunctional(envs, path, steps=steps, dt=told, infos=names, physics=physics)
+        return RecordedFunctional(envs, path, steps=steps, dt=told, infos=names, physics=physics, images=how)
     told = given_or(dt, next(_told(envs), None))
     if tensors.has_tensors(envs):
         if physics:
             raise UsageError("physics is recorded of MuJoCo's environments, not of those with tensors of torch")
-        return tensors.recorded_tensors(envs, path, steps=steps, dt=told, infos=names)
+        return tensors.recorded_tensors(envs, path, steps=steps, dt=told, infos=names, images=how)
     if mode_of(envs) is Mode.NONE:
         raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
     from gpusimbench.recorder.vector.wrapper import Recorded
 
-    return Recorded(envs, path, steps=steps, dt=told, infos=names, physics=physics)
+    return Recorded(envs, path, steps=steps, dt=told, infos=names, physics=physics, images=how)
 
 
 def step_of(envs: Any) -> float:

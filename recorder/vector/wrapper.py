@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.fields import NOT_GIVEN, fields_of, recorded_dtype
+from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.infos import array_name, nothing_told, told
 from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode, mode_of, with_final
 from gpusimbench.recorder.vector.origin import origin_of
@@ -36,9 +37,18 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
     """
 
     def __init__(
-        self, envs: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...] = (), physics: bool = False
+        self,
+        envs: Any,
+        path: str | Path,
+        *,
+        steps: int | None,
+        dt: float,
+        infos: tuple[str, ...] = (),
+        physics: bool = False,
+        images: Images = Images.HASH,
     ) -> None:
         super().__init__(envs)
+        self._images, self._of_images = images, dict[str, str]()  # and notes on the arrays of their hashes
         self._physics = Physics(envs) if physics else None
         self._path, self._steps, self._dt, self._infos = path, steps, dt, infos
         self._mode = mode_of(envs)
@@ -128,13 +138,12 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
 
     def _reset(self, observation: Any, seed: Any, mask: Any) -> None:
         if self._log is None:
-            self._start = {**_arrays(observation, "observation"), **self._states()}, seed
+            self._start = {**self._seen(_arrays(observation, "observation")), **self._states()}, seed
             return
         every = np.ones(self.num_envs, dtype=np.bool_)
         self._ledger.reset(every if mask is None else on_host(mask, "reset_mask").astype(np.bool_))
-        self._put(
-            self._filled - 1, {**_arrays(observation, "observation", copy=False), **self._states(), **self._counts()}
-        )
+        seen = self._seen(_arrays(observation, "observation", copy=False))
+        self._put(self._filled - 1, {**seen, **self._states(), **self._counts()})
 
     def _begin(self, actions: Row) -> None:
         if self._start is None:
@@ -151,9 +160,13 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         notes = {
             **dict.fromkeys([*given, *of_step], _NO_STEP),
             **dict.fromkeys(map(array_name, self._infos), NOT_GIVEN),
+            **self._of_images,
+            **{name.replace("observation", FINAL, 1): note for name, note in self._of_images.items()},
         }
         fields = fields_of(row, notes)
         options = {"autoreset_mode": self._mode.value, **origin_of(self.env)}
+        if self._of_images:
+            options["images"] = self._images.value
         if self._infos:
             options["infos"] = ", ".join(self._infos)
         if not isinstance(seed, Integral):
@@ -165,7 +178,7 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         )  # fmt: skip
         log.__enter__()
         self._log = log
-        rows = min(_ROWS, self._steps + 1)
+        rows = _ROWS if self._steps is None else min(_ROWS, self._steps + 1)
         self._block = {name: np.empty((rows, *array.shape), recorded_dtype(array.dtype)) for name, array in row.items()}
         self._dtypes = {name: array.dtype for name, array in row.items()}
         self._put(0, row)
@@ -175,11 +188,13 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         self._hashes = []
 
     def _stepped(self, given: Row, observation: Any, reward: Any, terminated: Any, truncated: Any, info: Any) -> None:
-        seen = _arrays(observation, "observation", copy=False)
+        seen = self._seen(_arrays(observation, "observation", copy=False))
         flags = {"terminated": on_host(terminated, "terminated", copy=False)}
         flags["truncated"] = on_host(truncated, "truncated", copy=False)
         done = flags["terminated"] | flags["truncated"]
-        last = with_final(observation, info, done) if self._mode is Mode.SAME_STEP else _final(seen)
+        last = _final(seen)
+        if self._mode is Mode.SAME_STEP and done.any():
+            last = self._seen(with_final(observation, info, done))
         began = self._ledger.stepped(done)
         if began.any():  # which ignored their actions
             for array in given.values():
@@ -196,6 +211,9 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
     def _hash(self, name: str, found: Hashed, states: int) -> None:
         assert self._log is not None
         self._log.fingerprint(name, found, states=states)
+
+    def _seen(self, arrays: Row) -> Row:
+        return self._images.recorded(arrays, self._of_images)
 
     def _states(self) -> Row:
         return self._physics.states() if self._physics else {}

@@ -45,6 +45,13 @@ class _Message(NamedTuple):
     size: int  # of the whole record
 
 
+class _Place(NamedTuple):
+    offset: int
+    head: bytes  # of the content, before the size of the data
+    size: int  # of the data
+    crc: int  # of the whole record
+
+
 def _text(value: str) -> bytes:
     data = value.encode()
     return _U32.pack(len(data)) + data
@@ -57,6 +64,11 @@ def _text_map(values: Mapping[str, str]) -> bytes:
 
 def _record(opcode: int, content: bytes) -> bytes:
     return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def _attachment(head: bytes, data: bytes) -> bytes:
+    content = head + _U64.pack(len(data)) + data
+    return _record(Op.ATTACHMENT, content + _U32.pack(zlib.crc32(content)))
 
 
 def _lz4(data: bytes) -> bytes:
@@ -97,6 +109,7 @@ class McapWriter:
         self._channels: list[bytes] = []
         self._chunk_indexes: list[bytes] = []
         self._attachment_indexes: list[bytes] = []
+        self._attachments: dict[str, _Place] = {}
         self._metadata_indexes: list[bytes] = []
         self._counts: dict[int, int] = {}
         self._first_time: int | None = None
@@ -154,11 +167,27 @@ class McapWriter:
         """Add an attachment; times in ns."""
         self.flush()
         head = struct.pack("<QQ", log_time, create_time) + _text(name) + _text(media_type)
-        content = head + _U64.pack(len(data)) + data
-        record = _record(Op.ATTACHMENT, content + _U32.pack(zlib.crc32(content)))
+        record = _attachment(head, data)
+        self._attachments[name] = _Place(self._offset, head, len(data), zlib.crc32(record))
         place = struct.pack("<QQQQQ", self._offset, len(record), log_time, create_time, len(data))
         self._attachment_indexes.append(_record(Op.ATTACHMENT_INDEX, place + _text(name) + _text(media_type)))
         self._append(record)
+
+    def rewrite_attachment(self, name: str, data: bytes) -> None:
+        """Put data of the same size in place of those of an attachment; what follows it stays as it is.
+
+        ValueError where the size differs.
+        """
+        place = self._attachments[name]
+        if len(data) != place.size:
+            raise ValueError(f"{name} has {place.size} bytes, not {len(data)}")
+        record = _attachment(place.head, data)
+        crc, written = zlib.crc32(record), 0
+        while written < len(record):
+            written += os.pwrite(self._descriptor, record[written:], place.offset + written)
+        # a CRC is linear: the difference of the two records, moved by the bytes that follow them
+        self._crc = combine(place.crc ^ crc, self._crc, self._offset - place.offset - len(record))
+        self._attachments[name] = place._replace(crc=crc)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""

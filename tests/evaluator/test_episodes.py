@@ -12,6 +12,8 @@ import pytest
 from scipy import stats
 
 from gpusimbench import NothingComparable, open_recording, wrap
+from gpusimbench.evaluator.cli.episodes import main as episodes
+from gpusimbench.evaluator.episodes import dependence
 from gpusimbench.evaluator.episodes.comparison import compare
 from gpusimbench.evaluator.episodes.document import warnings
 from gpusimbench.evaluator.episodes.outcome import FinishOrder, Outcome, outcome
@@ -355,3 +357,50 @@ def test_the_page_shows_what_both_rules_give() -> None:
     """Record again the recordings of 64 environments, and get the rates that the page shows."""
     making = script("make_episodes")
     assert making.row(64) in making.PAGE.read_text(encoding="utf-8")
+
+
+def test_dependence_on_the_number_of_environments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tell no dependence of one policy; tell that of another policy under some numbers, and of which quantities."""
+    small = [recording_of("sweep", 4, 4, seed) for seed in range(100, 116, 4)]
+    large = recording_of("sweep", 64, 4)
+    arguments = ["--success", "success", "--per-env", "4", "--across", "n_env"]
+    assert episodes([*map(str, small), str(large), *arguments, "--json", str(tmp_path / "a.json")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "success: no dependence on the number of environments can be told" in said
+    found = json.loads((tmp_path / "a.json").read_text())["across"]
+    assert [(one["value"], one["policy"]["n_env"]) for one in found["settings"]] == [("4", 16), ("64", 64)]
+    assert all(one["p_value"] > 0.05 and not one["depends"] for one in found["quantities"])
+    other = recording_of("near", 16, 4, seed=300)
+    assert episodes([str(other), str(large), *arguments, "--json", str(tmp_path / "b.json")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "return depends on the number of environments" in said
+    first, second = (episodes_of(path, per_env=4) for path in (other, large))
+    told = json.loads((tmp_path / "b.json").read_text())["across"]["quantities"]
+    assert told[1]["largest"] == pytest.approx(abs(first.returns.mean() - second.returns.mean()))
+
+
+@pytest.mark.slow
+def test_the_test_of_dependence_has_its_level() -> None:
+    """Reject in 5 % of draws where groups of other sizes are alike, and nearly always where a rate is another."""
+    rng = np.random.default_rng(0)
+
+    def p_value(*rates: float) -> float:
+        groups = [rng.random((n_env, 2)) < rate for n_env, rate in zip((8, 24, 64), rates, strict=True)]
+        return dependence._dependence("success", [one.mean(axis=1) for one in groups]).p_value
+
+    draws = 60
+    assert sum(p_value(0.6, 0.6, 0.6) <= 0.05 for _ in range(draws)) <= stats.binom.ppf(0.999, draws, 0.05)
+    assert sum(p_value(0.6, 0.6, 0.9) <= 0.05 for _ in range(10)) >= 7
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--across", "n_env"], "all recordings have one n_env, 64: give recordings of two or more"),
+        (["--across", "device", "--against", "b.mcap"], "leave --against out"),
+    ],
+)
+def test_dependence_that_cannot_be_told(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Refuse recordings of one value, and a second policy."""
+    assert episodes([str(recording_of("sweep", 64, 4)), *words]) == 2
+    assert says in " ".join(capsys.readouterr().err.split())

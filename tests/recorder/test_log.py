@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
+from gpusimbench.evaluator.cli.check import main as check
+from gpusimbench.evaluator.cli.info import main as info
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.scenes.registry import make_scene
@@ -193,6 +195,63 @@ def test_an_end_that_is_none(tmp_path: Path) -> None:
     }
     assert found["nan"].cause == "not finite"
     assert len(found["broken"].state("cubes", "position")) == 4
+
+
+def test_steps_that_are_not_announced(tmp_path: Path) -> None:
+    """Record as many steps as were made, in the same file as if they had been announced; none made is a failure."""
+    position, velocity = states()
+    for name, steps, stride in (("told", 10, 2), ("open", None, 2), ("none", None, 1), ("first", None, 1)):
+        with writer(tmp_path / f"{name}.mcap", steps=steps, stride=stride) as log:
+            rows = {"none": 0, "first": 1}.get(name, len(position))
+            for row in range(rows):
+                log.append(position[row], velocity[row])
+    found = {path.stem: open_recording(path) for path in tmp_path.glob("*.mcap")}
+    for recording in found.values():
+        verify(recording)
+    assert found["open"].configuration == found["told"].configuration
+    for field in FIELDS:
+        one, other = (found[name].state(field.group, field.field) for name in ("open", "told"))
+        assert one.steps.tolist() == [0, 2, 4, 6, 8, 10]
+        assert np.array_equal(one[:], other[:])
+    assert {name: (r.status, r.reason, r.configuration.is_open) for name, r in found.items()} == {
+        "told": ("complete", "", False),
+        "open": ("complete", "", False),
+        "none": ("failed", "no state was given", False),
+        "first": ("failed", "states end at step 0 of 1", False),
+    }
+    with pytest.raises(RuntimeError, match="hot"), writer(tmp_path / "broken.mcap", steps=None) as log:
+        log.append(position[:4], velocity[:4])
+        raise RuntimeError("hot")
+    broken = open_recording(tmp_path / "broken.mcap")
+    assert (broken.status, broken.configuration.steps) == ("failed", 3)
+
+
+_KILLED = """
+import os, sys
+import numpy as np
+from gpusimbench import RecordingWriter
+from gpusimbench.schemas.fields import array_field
+
+log = RecordingWriter(sys.argv[1], simulator="mine", version="1", scene="task", n_env=2, dt=0.1, steps=None,
+                      fields=(array_field("reward", "float32"),))
+log.__enter__()
+for _ in range(120):
+    log.append(np.zeros(2, np.float32))
+os.kill(os.getpid(), 9)
+"""
+
+
+def test_a_killed_program_without_announced_steps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Say of what is left that it is not complete, and read the blocks that are there."""
+    run_python(_KILLED, tmp_path / "a.mcap", code=-9)
+    left = tmp_path / "a.mcap.partial"
+    recording = open_recording(left)
+    assert (recording.status, recording.configuration.is_open) == ("incomplete", True)
+    assert len(recording.state("env", "reward")) == 101  # the first, and blocks of 50
+    assert check([str(left)]) == 3
+    assert "error end: no end record" in capsys.readouterr().out
+    assert info([str(left)]) == 3
+    assert "an unannounced number of captured steps" in capsys.readouterr().out
 
 
 def test_no_file_is_overwritten(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections import defaultdict
 from pathlib import Path
@@ -264,12 +265,18 @@ def test_how_a_recording_ends(tmp_path: Path) -> None:
         raise KeyError("of the user")
     unused = wrap(walks(1, 3, "SameStep"), tmp_path / "unused.mcap", steps=10)
     unused.close()
+    unannounced = wrap(walks(1, 3, "NextStep"), tmp_path / "unannounced.mcap")
+    play(unannounced, 70)
+    unannounced.close()
     found = {path.stem: open_recording(path) for path in tmp_path.glob("*.mcap")}
     assert {name: (r.status, r.reason) for name, r in found.items()} == {
         "short": ("failed", "states end at step 4 of 10"),
         "broken": ("failed", "RuntimeError: the motor is hot"),
         "mine": ("failed", "KeyError: 'of the user'"),
+        "unannounced": ("complete", ""),
     }
+    assert found["unannounced"].configuration.steps == 70
+    assert len(found["unannounced"].state("env", "reward")) == 71
     made = found["broken"].state("env", "stepped")[1:, 0, 0, 0]
     assert made.sum() == 2
 
@@ -346,8 +353,20 @@ def test_what_the_commands_say(tmp_path: Path) -> None:
     other = call("gsb-diff", tmp_path / "a.mcap", tmp_path / "c.mcap", code=4)
     assert "from step 0 (0 s) on, first in env 0: env/observation_at[0]: " in " ".join(other.stdout.split())
     assert "unknown and" not in other.stdout
+    nothing = call("gsb-view", tmp_path / "a.mcap", "--no-open", "--out", tmp_path / "view.html", code=5)
+    assert "holds observations and actions of a task, and no positions of bodies" in " ".join(nothing.stderr.split())
     found = call("gsb-eval", tmp_path / "a.mcap", tmp_path / "b.mcap", code=0)
     assert found.stdout.startswith("gymnasium: all 2 runs are bit-identical")
+    whole = [tmp_path / f"{name}.mcap" for name in "ac"]
+    call("gsb-eval", *whole, "--html", tmp_path / "page", "--tables", tmp_path / "tables", "--format", "csv", code=0)
+    other_counts = count_episodes(open_recording(whole[1]))
+    assert other_counts is not None
+    rows = list(csv.reader((tmp_path / "tables" / "episodes.csv").read_text(encoding="utf-8").splitlines()))
+    assert {row[2] for row in rows[1:]} == {"120"}
+    assert {row[3] for row in rows[1:]} == {str(counts.ended), str(other_counts.ended)}
+    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+    assert f"{counts.ended + other_counts.ended} episodes ended" in page
+    assert f"{counts.mean_return:.4g}" in page
     everything = call("gsb-eval", tmp_path / "a.mcap", tmp_path / "b.mcap", "--all").stdout
     assert "seeds and actions of environments differ by design" in " ".join(everything.split())
     assert call("gsb-check", *sorted(tmp_path.glob("*.mcap"))).returncode == 0

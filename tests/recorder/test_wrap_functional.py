@@ -15,6 +15,7 @@ from gpusimbench import UsageError, open_recording, record_rollout, verify, wrap
 from gpusimbench.evaluator.diff import compare
 from gpusimbench.evaluator.read.episodes import count_episodes, episodes
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.images import image_hashes
 
 pytest.importorskip("brax")
 jax = pytest.importorskip("jax")
@@ -308,3 +309,34 @@ def test_a_cartpole_of_playground(full: bool, tmp_path: Path) -> None:
     assert counts is not None
     assert (counts.truncated, counts.terminated, counts.mean_length) == (3 * N_ENV, 0, 8)
     assert (column(recording, "info_reward_upright_given")[1:] == 1).all()
+
+
+def test_images_that_are_observed(tmp_path: Path) -> None:
+    """Hash the frames that came from the device, of every row and environment."""
+
+    class Camera:
+        """A functional environment that observes a picture."""
+
+        def reset(self, rng: Any) -> Any:
+            return self._state(jax.numpy.zeros(N_ENV))
+
+        def step(self, state: Any, action: Any) -> Any:
+            return self._state(state.reward + 1)
+
+        def _state(self, count: Any) -> Any:
+            pixels = (jax.numpy.arange(4 * 5 * 3).reshape(4, 5, 3) + 7 * count[:, None, None, None]).astype("uint8")
+            return brax().State(
+                None, {"pixels": pixels, "at": count}, count, jax.numpy.zeros(N_ENV), {}, {"truncation": count * 0}
+            )
+
+    with wrap(Camera(), tmp_path / "a.mcap", dt=0.1) as recorded:
+        state = recorded.reset(keys())
+        seen = [np.asarray(state.obs["pixels"])]
+        for action in drawn(60):
+            state = recorded.step(state, action)
+            seen.append(np.asarray(state.obs["pixels"]))
+    recording = read(tmp_path / "a.mcap")
+    assert (recording.status, recording.configuration.steps) == ("complete", 60)
+    assert recording.configuration.options["images"] == "hash"
+    assert np.array_equal(column(recording, "observation_pixels_hash"), image_hashes(np.stack(seen), lead=2))
+    assert np.array_equal(column(recording, "observation_at")[:, 0], np.arange(61))

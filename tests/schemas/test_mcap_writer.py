@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import os
 import resource
 import struct
+import tempfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -203,3 +206,25 @@ def test_a_file_without_messages(tmp_path: Path) -> None:
     assert summary.statistics is not None
     found = summary.statistics
     assert (found.message_count, found.message_start_time, found.message_end_time) == (0, 0, 0)
+
+
+@given(st.binary(min_size=1, max_size=50), st.lists(st.integers(0, 300_000), max_size=3), st.randoms())
+def test_an_attachment_is_rewritten(note: bytes, sizes: list[int], random: Any) -> None:
+    """Find the data that were put in place of an attachment's, and all CRCs right, whatever was written behind it."""
+    other = random.randbytes(len(note))
+    with tempfile.TemporaryFile(buffering=0) as stream:
+        writer = McapWriter(stream, profile=FORMAT, library="test")
+        channel = writer.channel("/one", writer.schema("a.B", "protobuf", b"schema"), {})
+        writer.attachment("note.txt", "text/plain", note, log_time=1, create_time=2)
+        for number, size in enumerate(sizes):
+            writer.message(channel, bytes(size), log_time=number, publish_time=0, sequence=number)
+        writer.rewrite_attachment("note.txt", other)
+        with pytest.raises(ValueError, match="bytes"):
+            writer.rewrite_attachment("note.txt", other + b"x")
+        writer.rewrite_attachment("note.txt", other)
+        writer.finish()
+        stream.seek(0)
+        whole = stream.read()
+    assert [one.data for one in make_reader(io.BytesIO(whole)).iter_attachments()] == [other]
+    end = whole.rindex(struct.pack("<BQ", Op.DATA_END, 4))
+    assert struct.unpack_from("<I", whole, end + 9)[0] == zlib.crc32(whole[:end])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -10,6 +11,7 @@ from gpusimbench.recorder.vector.device import states
 from gpusimbench.recorder.vector.device.history import Which
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 from gpusimbench.recorder.vector.device.log import DeviceLog, HostLog
+from gpusimbench.recorder.vector.images import Images
 from gpusimbench.schemas.errors import UsageError
 
 _TRACED = (
@@ -26,12 +28,21 @@ class RecordedFunctional:
     """
 
     def __init__(
-        self, env: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...] = (), physics: bool = False
+        self,
+        env: Any,
+        path: str | Path,
+        *,
+        steps: int | None,
+        dt: float,
+        infos: tuple[str, ...] = (),
+        physics: bool = False,
+        images: Images = Images.HASH,
     ) -> None:
         import jax
 
         self._env = env
         self._path, self._steps, self._dt, self._infos, self._physics = path, steps, dt, infos, physics
+        self._images = images
         self._reset, self._step = (f if hasattr(f, "lower") else jax.jit(f) for f in (env.reset, env.step))
         self._log = DeviceLog(JaxRows(), steps)
         self._layout: states.Layout | None = None
@@ -106,7 +117,9 @@ class RecordedFunctional:
         """Bring the rows that are there to the state that a step begins in."""
         if self._layout is None:
             layout = states.Layout(state, infos=self._infos, physics=self._physics, full=states.cut_after(self._env))
-            about = states.about(self._env, state, {"rng": self._rng} if self._rng else {})
+            about = replace(
+                states.about(self._env, state, {"rng": self._rng} if self._rng else {}), images=self._images
+            )
             self._log.begin(
                 layout.first(state, action), HostLog(self._path, steps=self._steps, dt=self._dt, about=about)
             )

@@ -16,6 +16,7 @@ from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.history import History, Reset, Which
 from gpusimbench.recorder.vector.device.rows import Arrays, Columns, Rows
 from gpusimbench.recorder.vector.fields import GIVEN, NO_STEP, NOT_GIVEN, fields_of, recorded_dtype
+from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.modes import FINAL, Mode
 from gpusimbench.schemas.errors import UsageError
 
@@ -40,6 +41,7 @@ class About:
     hidden: bool
     options: Mapping[str, str]
     seed: int = 0
+    images: Images = Images.HASH
 
 
 class HostLog:
@@ -48,7 +50,7 @@ class HostLog:
     path, steps, dt  as of gpusimbench.wrap
     """
 
-    def __init__(self, path: str | Path, *, steps: int, dt: float, about: About) -> None:
+    def __init__(self, path: str | Path, *, steps: int | None, dt: float, about: About) -> None:
         self._path, self._steps, self._dt, self._about = path, steps, dt, about
         self._history: History | None = None
         self._writer: RecordingWriter | None = None
@@ -58,9 +60,10 @@ class HostLog:
         about = self._about
         if self._history is None:
             self._history = History(rows["reward"].shape[1], about.mode, hidden=about.hidden)
-        found = self._history.completed(rows, resets)
+        of_images: dict[str, str] = {}
+        found = about.images.recorded(self._history.completed(rows, resets), of_images, lead=2)
         if self._writer is None:
-            self._writer = self._begun({name: array[0] for name, array in found.items()})
+            self._writer = self._begun({name: array[0] for name, array in found.items()}, of_images)
         self._writer.append(*(array.astype(recorded_dtype(array.dtype), copy=False) for array in found.values()))
 
     def fingerprint(self, name: str, found: Hashed, states: int) -> None:
@@ -73,16 +76,20 @@ class HostLog:
         if self._writer is not None:
             self._writer.__exit__(type(error) if error else None, error, None)
 
-    def _begun(self, row: Columns) -> RecordingWriter:
+    def _begun(self, row: Columns, of_images: Mapping[str, str]) -> RecordingWriter:
         about = self._about
         notes = {name: NO_STEP for name in row if name == "reward" or name.startswith("action")}
         notes |= {name: NOT_GIVEN for name in row if name.startswith("info/") and not name.endswith(GIVEN)}
         if about.hidden:
             notes |= {name: _HIDDEN for name in row if name.startswith(FINAL) and not name.endswith(GIVEN)}
+        notes = {
+            name: "; ".join(filter(None, (notes.get(name), of_images.get(name)))) for name in {**notes, **of_images}
+        }
+        images = {"images": about.images.value} if of_images else {}
         writer = RecordingWriter(
             self._path, simulator=about.simulator, version=about.version, scene=about.scene, device=about.device,
             n_env=len(row["reward"]), dt=self._dt, steps=self._steps, fields=fields_of(row, notes), seed=about.seed,
-            options={"autoreset_mode": about.mode.value, **about.options}, view=(),
+            options={"autoreset_mode": about.mode.value, **images, **about.options}, view=(),
         )  # fmt: skip
         return writer.__enter__()
 
@@ -104,7 +111,7 @@ class DeviceLog:
     ended  whether the recording has ended
     """
 
-    def __init__(self, rows: Rows, steps: int) -> None:
+    def __init__(self, rows: Rows, steps: int | None) -> None:
         self._rows, self._steps = rows, steps
         self._log: HostLog | None = None
         self._writing: Writing[_Job] | None = None

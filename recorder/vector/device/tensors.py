@@ -15,6 +15,7 @@ from gpusimbench.recorder.vector.device.history import INFO, Which
 from gpusimbench.recorder.vector.device.log import About, DeviceLog, HostLog
 from gpusimbench.recorder.vector.device.torch_rows import TorchRows
 from gpusimbench.recorder.vector.fields import GIVEN
+from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.infos import FINAL_INFO
 from gpusimbench.recorder.vector.modes import FINAL, Mode, mode_of
 from gpusimbench.schemas.errors import UsageError
@@ -22,7 +23,7 @@ from gpusimbench.schemas.trees import leaves
 from gpusimbench.schemas.vector import FINAL_GIVEN
 
 _HIDING = ("isaaclab", "mjlab")
-"""Packages whose environments are reset within step, and do not tell the last observations of episodes."""
+"""Packages whose environments are reset within step, and tell the last observations of episodes only if asked to."""
 
 _ORIGINS = {"mani_skill": "mani-skill", "isaaclab": "isaaclab", "mjlab": "mjlab"}
 
@@ -44,14 +45,16 @@ def told_by(envs: Any, name: str) -> Any:
     return getattr(getattr(envs, "unwrapped", None), name, None) if found is None else found
 
 
-def recorded_tensors(envs: Any, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...]) -> Any:
+def recorded_tensors(
+    envs: Any, path: str | Path, *, steps: int | None, dt: float, infos: tuple[str, ...], images: Images
+) -> Any:
     """The environments, recorded; what Gymnasium takes for a vector or an environment is taken for it still."""
     base: type = _Plain
     if gymnasium := sys.modules.get("gymnasium"):
         bases = (gymnasium.vector.VectorEnv, gymnasium.vector.VectorWrapper), (gymnasium.Env, gymnasium.Wrapper)
         base = next((wrapper for kind, wrapper in bases if isinstance(envs, kind)), base)
     recorded = type("RecordedTensors", (RecordedTensors, base), {})(envs)
-    recorded._record(path, steps=steps, dt=dt, infos=infos)
+    recorded._record(path, steps=steps, dt=dt, infos=infos, images=images)
     return recorded
 
 
@@ -71,14 +74,18 @@ class RecordedTensors:
     env: Any
     _log: DeviceLog
 
-    def _record(self, path: str | Path, *, steps: int, dt: float, infos: tuple[str, ...]) -> None:
+    def _record(
+        self, path: str | Path, *, steps: int | None, dt: float, infos: tuple[str, ...], images: Images
+    ) -> None:
+        self._images = images
         self._path, self._steps, self._dt, self._told = path, steps, dt, infos
         self._n_env = int(told_by(self.env, "num_envs"))
         hiding = _package(self.env) in _HIDING
+        tells = bool(getattr(told_by(self.env, "cfg"), "compute_final_obs", False))  # of Isaac Lab
         self._mode = Mode.SAME_STEP if hiding else mode_of(self.env)
         if False in (told_by(self.env, "auto_reset"), getattr(told_by(self.env, "cfg"), "auto_reset", None)):
             self._mode = Mode.DISABLED  # whatever the metadata of ManiSkill say
-        self._hidden = hiding and self._mode is Mode.SAME_STEP
+        self._hidden = hiding and not tells and self._mode is Mode.SAME_STEP
         if self._mode is Mode.NONE:
             raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
         self._log = DeviceLog(TorchRows(), steps)
@@ -205,6 +212,7 @@ class RecordedTensors:
             hidden=self._hidden,
             options=options,
             seed=int(self._seed) if integral else 0,
+            images=self._images,
         )
 
 

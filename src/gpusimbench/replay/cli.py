@@ -160,6 +160,7 @@ def _replayed(original: Recording, arguments: argparse.Namespace, success: str |
         _say(f"replaying in {n_env} environments {origin.spec_id}({words})")
         envs = registered(origin.spec_id, origin.keywords, n_env, vectorization=origin.vectorization)
     how = {"seed": seed_of(original), "infos": infos_of(original), "dt": original.configuration.dt}
+    how["images"] = original.configuration.options.get("images", "numbers")
     needed = success if success and given_at_first(original, success) else ""
     with stage("replaying episodes"):
         try:

@@ -1,0 +1,130 @@
+"""One policy recorded under several values of a setting: whether success or return depend on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, Outcome
+from gpusimbench.evaluator.episodes.side import Episodes
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.statistics.cases import PERMUTATIONS
+from gpusimbench.evaluator.statistics.families import holm
+from gpusimbench.schemas.errors import UsageError
+
+LEVEL = 0.05
+
+_SEED = 0
+_AT_ONCE = 10_000_000  # means of environments that are exchanged at a time
+
+
+def _device(recording: Recording) -> str:
+    return recording.simulation.device if recording.simulation else ""
+
+
+KEYS: Mapping[str, Callable[[Recording], Any]] = {
+    "n_env": lambda recording: recording.configuration.n_env,
+    "device": _device,
+    "version": lambda recording: recording.simulation.version if recording.simulation else "",
+}
+"""Settings by name, and what a recording has of each."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """The recordings of one value."""
+
+    value: str
+    outcome: Outcome
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Of a quantity on the setting.
+
+    name        "success" or "return"
+    largest     difference of the means of two values, the highest minus the lowest
+    p_value     that all values give the same: a permutation test with environments as units, of the sum over values of
+                environments times the squared distance of their mean from the mean of all
+    adjusted_p  by Holm, over the quantities
+    """
+
+    name: str
+    largest: float
+    p_value: float
+    adjusted_p: float
+
+    @property
+    def depends(self) -> bool:
+        """Whether chance does not explain it at the 5 % level."""
+        return self.adjusted_p <= LEVEL
+
+
+@dataclass(frozen=True)
+class Across:
+    """What a policy comes to under each value of a setting.
+
+    key        of KEYS
+    settings   in order of their values
+    quantities success, if a flag was named, and return
+    """
+
+    key: str
+    settings: tuple[Setting, ...]
+    quantities: tuple[Dependence, ...]
+
+
+def grouped(recordings: Sequence[Recording], key: str) -> dict[Any, list[Recording]]:
+    """Recordings by their value of a setting, in its order; UsageError where there is one value alone."""
+    found: dict[Any, list[Recording]] = {}
+    for recording in recordings:
+        found.setdefault(KEYS[key](recording), []).append(recording)
+    if len(found) < 2:
+        raise UsageError(f"all recordings have one {key}, {next(iter(found))}: give recordings of two or more")
+    return dict(sorted(found.items()))
+
+
+def dependences(groups: Sequence[Episodes]) -> tuple[Dependence, ...]:
+    """Whether quantities depend on the group; all groups have as many episodes per environment.
+
+    Environments are taken to be independent. Where several groups began with the same seeds, their episodes began
+    alike: then the groups are nearer to each other than by chance, and p-values too large rather than too small.
+    """
+    flags = [one.success for one in groups if one.success is not None]
+    found = [_dependence(SUCCESS, [array.mean(axis=1) for array in flags])] if len(flags) == len(groups) else []
+    found.append(_dependence(RETURN, [one.returns.mean(axis=1) for one in groups]))
+    adjusted = holm([one.p_value for one in found])
+    return tuple(replace(one, adjusted_p=p) for one, p in zip(found, adjusted, strict=True))
+
+
+def _dependence(name: str, by_env: Sequence[NDArray[np.float64]]) -> Dependence:
+    means = [float(one.mean()) for one in by_env]
+    p = _exchanged(by_env)
+    return Dependence(name, max(means) - min(means), p, p)
+
+
+def _exchanged(by_env: Sequence[NDArray[np.float64]]) -> float:
+    whole = np.concatenate(by_env)
+    if np.ptp(whole) == 0:
+        return 1.0
+    centre = whole.mean()
+
+    def spread(*groups: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+        return np.asarray(sum(one.shape[axis] * (one.mean(axis=axis) - centre) ** 2 for one in groups))
+
+    tested = stats.permutation_test(
+        tuple(by_env),
+        spread,
+        permutation_type="independent",
+        alternative="greater",
+        n_resamples=PERMUTATIONS,
+        vectorized=True,
+        batch=max(1, _AT_ONCE // len(whole)),
+        rng=np.random.default_rng(_SEED),
+    )
+    return float(tested.pvalue)
