@@ -15,9 +15,11 @@ clocks of steps come from the program (``clocks``), memory is not read.
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 import uuid
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -177,8 +179,8 @@ class RecordingWriter:
             raise UsageError(f"compression is one of {', '.join(COMPRESSIONS)}, not '{c.compression}'")
         if not s.fields:
             raise UsageError("a recording of states has at least one field")
-        if len({field.name for field in s.fields}) < len(s.fields):
-            raise UsageError("two fields have the same group and name")
+        if twice := [name for name, count in Counter(field.name for field in s.fields).items() if count > 1]:
+            raise UsageError(f"two fields have the same group and name, {twice[0]}")
         for field in s.fields:
             if topics.parse_state(topics.state(field.group, field.field, 0)) is None:
                 raise UsageError(
@@ -196,10 +198,12 @@ class RecordingWriter:
         if taken := sorted({PROVENANCE, PACKAGES, PROGRAM, SIMULATION, SCENE} & set(self._attachments)):
             raise UsageError(f"attachments named {', '.join(taken)} are the recording's own")
         try:
-            c.to_json()
-            s.to_json()
+            RunConfiguration.from_json(json.loads(json.dumps(c.to_json())))
+            Simulation.from_json(s.to_json())
         except TypeError as error:  # such as numbers of numpy
             raise UsageError(f"options, switches and counts are plain values: {error}") from None
+        except DamagedRecording as error:
+            raise UsageError(f"the recording could not be read again: {error}") from None
         if s.env_origins and len(s.env_origins) != c.n_env:
             raise UsageError(f"there are {len(s.env_origins)} env origins, and {c.n_env} environments")
 
@@ -233,8 +237,10 @@ class RecordingWriter:
                 self._sink, self._simulation.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=self._view()
             )
             self._arrays = ArrayHashWriter(self._sink)
-        except BaseException:
+        except BaseException as error:
             self._sink.abandon()
+            if isinstance(error, UsageError):  # nothing is recorded yet, and the same path may be tried again
+                self._sink.partial.unlink(missing_ok=True)
             raise
         self._within = True
         return self

@@ -52,9 +52,9 @@ def leaves(tree: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 
 def mapped(function: Callable[[Any], Any], tree: Any) -> Any:
-    """Nested dicts and tuples of arrays with a function applied to each array."""
+    """Nested dicts, tuples and lists of arrays with a function applied to each array."""
     if isinstance(tree, Mapping):
         return {key: mapped(function, value) for key, value in tree.items()}
-    if isinstance(tree, tuple):
+    if isinstance(tree, (tuple, list)):
         return tuple(mapped(function, value) for value in tree)
     return function(tree)

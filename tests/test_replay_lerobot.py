@@ -146,6 +146,11 @@ def _spoiled() -> dict[str, tuple[Any, str]]:
         "no action": (lambda t: t.drop("action"), "has no feature action"),
         "no state": (lambda t: t.drop("observation.state"), "has no feature observation"),
         "empty": (lambda t: t[:0], "has 0 of 3 episodes"),
+        "halves": (
+            lambda t: t.with_columns(column("episode_index") + 0.5),
+            "episode_index has something else than whole",
+        ),
+        "nan": (lambda t: t.with_columns(polars.lit(float("nan")).alias("episode_index")), "else than whole numbers"),
     }
 
 
@@ -156,6 +161,23 @@ def test_frames_that_cannot_be(case: str, tmp_path: Path) -> None:
     table = spoil(frames(MADE / "reach"))
     with pytest.raises(DamagedRecording, match=said):
         read(changed(tmp_path / "a", table))
+
+
+def test_no_episodes(tmp_path: Path) -> None:
+    """Say that a data set has no frames, where it claims none, and where its first episodes are asked for."""
+    folder = changed(tmp_path / "a", frames(MADE / "reach")[:0], total_episodes=0)
+    for most in (None, 1):
+        with pytest.raises(DamagedRecording, match="has no frames: its files in data/ have no rows"):
+            read(folder, most)
+
+
+def test_a_folder_named_like_frames(tmp_path: Path) -> None:
+    """Read the files of frames, and pass over a folder with such a name; a truth value is no rate of frames."""
+    folder = changed(tmp_path / "a", fps=True)
+    (folder / "data" / "old.parquet").mkdir()
+    assert len(read(folder)) == 3
+    found = opened(folder)
+    assert found is not None and found.dt is None and all(file.is_file() for file in found.files)
 
 
 def test_damaged_bytes(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from gpusimbench.recorder.plan import partial_of, publish
 from gpusimbench.schemas import FORMAT, __version__, topics
 from gpusimbench.schemas.configuration import EPOCH_NS
 from gpusimbench.schemas.digest import ContentDigest, content_hash
-from gpusimbench.schemas.errors import DataLost, UsageError
+from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
 from gpusimbench.schemas.mcap.writer import McapWriter, Part
 from gpusimbench.schemas.messages import embedded_schema, enum_values, message_class
 from gpusimbench.schemas.writing import create, reopen
@@ -78,11 +78,14 @@ class Sink:
             self._writer.rewrite_attachment(name, data)
 
     def channel(self, topic: str, message: str, metadata: dict[str, str] | None = None) -> None:
-        """Declare a topic and the message type that it carries."""
+        """Declare a topic and the message type that it carries. UsageError where no reader would take it."""
         with self._disk():
             if message not in self._schemas:
                 self._schemas[message] = self._writer.schema(message, "protobuf", embedded_schema(message))
-            self._channels[topic] = self._writer.channel(topic, self._schemas[message], metadata or {})
+            try:
+                self._channels[topic] = self._writer.channel(topic, self._schemas[message], metadata or {})
+            except DamagedRecording as error:
+                raise UsageError(f"{topic[:60]} has too long a name, or too many numbers: {error}") from None
 
     def write(self, topic: str, data: bytes, *, sim_ns: int | None = None) -> None:
         """A serialised message on a declared topic.

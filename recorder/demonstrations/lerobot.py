@@ -46,14 +46,14 @@ def opened(path: Path) -> DataSet | None:
     if version not in _VERSIONS:
         raise UsageError(f"{path} is a LeRobot data set of version {version[:20]}: {', '.join(_VERSIONS)} are read")
     fps = info.get("fps")
-    frames = tuple(sorted((path / "data").rglob("*.parquet")))
+    frames = tuple(_frame_files(path))
     return DataSet(
         path=path,
         name=path.resolve().name or "lerobot",
         version=f"lerobot {version}",
         files=(path / INFO, *frames),
         read=lambda most, space: read(path, most, space),
-        dt=1 / fps if isinstance(fps, (int, float)) and 0 < fps < float("inf") else None,
+        dt=1 / fps if isinstance(fps, (int, float)) and fps is not True and 0 < fps < float("inf") else None,
     )
 
 
@@ -73,14 +73,18 @@ def read(path: Path, most: int | None = None, space: Any = None) -> list[Demonst
     """
     info = _info(path)
     shapes = dict(_shapes(path, info))
-    files = sorted((path / "data").rglob("*.parquet"))
+    files = _frame_files(path)
     if not files:
         raise DamagedRecording(f"{path} has no frames: data/ has no file in Parquet")
     table = _table(path, files, [*shapes, _EPISODE, _FRAME], sum(map(prod, shapes.values())), most)
     number, at = (_numbers(path, table[name], (), len(table)) for name in (_EPISODE, _FRAME))
+    if number.dtype.kind not in "iu":
+        raise DamagedRecording(f"{path}: {_EPISODE} has something else than whole numbers")
     total = info.get("total_episodes")
     if most is None and isinstance(total, int) and len(np.unique(number)) != total:
         raise DamagedRecording(f"{path} has {len(np.unique(number))} of {total} episodes: get the other files, too")
+    if not len(table):
+        raise DamagedRecording(f"{path} has no frames: its files in data/ have no rows")
     arrays = {name: _numbers(path, table[name], shape, len(table)) for name, shape in shapes.items()}
     edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
     found = []
@@ -90,6 +94,10 @@ def read(path: Path, most: int | None = None, space: Any = None) -> list[Demonst
         of_one = {name: array[begin:end] for name, array in arrays.items()}
         found.append(_episode(path, int(number[begin]), of_one, space))
     return found
+
+
+def _frame_files(path: Path) -> list[Path]:
+    return sorted(file for file in (path / "data").rglob("*.parquet") if file.is_file())
 
 
 def _info(path: Path) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from gpusimbench.recorder.vector.fields import GIVEN, field_of, recorded_dtype
 from gpusimbench.recorder.vector.infos import array_name
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, Unreachable
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.vector import FINAL_GIVEN, NOT_GIVEN, PHYSICS, SEEDS
 
@@ -74,9 +74,12 @@ def write(
         attached[SEEDS] = ("application/json", json.dumps(seeds).encode())
     digest = hashlib.sha256()
     for one in source.files:
-        with one.open("rb") as file:
-            while block := file.read(_BLOCK):
-                digest.update(block)
+        try:
+            with one.open("rb") as file:
+                while block := file.read(_BLOCK):
+                    digest.update(block)
+        except OSError as error:  # which would look as if the results could not be written
+            raise Unreachable(f"cannot read {one}: {error.strerror}") from None
     with RecordingWriter(
         path, simulator=SIMULATOR, version=source.version, scene=spec_id, n_env=n_env, dt=dt,
         steps=steps, fields=fields, view=(), compression="zstd", attachments=attached,

@@ -37,6 +37,14 @@ def mode_of(envs: Any) -> Mode:
     return next((mode for mode in Mode if mode.value.lower() == word), Mode.NONE)
 
 
+def five(returned: Any) -> tuple[Any, ...]:
+    """What step returned: observation, reward, terminated, truncated, info; UsageError where it is something else."""
+    if not isinstance(returned, (tuple, list)) or len(returned) != 5:
+        many = f"{len(returned)} values" if isinstance(returned, (tuple, list)) else type(returned).__name__
+        raise UsageError(f"step returned {many}, not observation, reward, terminated, truncated and info")
+    return tuple(returned)
+
+
 def with_final(observation: Any, info: Mapping[str, Any], done: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """Observations, and in the environments that are done those with which their episodes ended, by name.
 

@@ -67,7 +67,7 @@ class AsGymnasium(gymnasium.vector.VectorEnv):  # type: ignore[misc]
             asked = {key: info[key] for key in self._keys if key in info}
             # a VecEnv keeps the infos of the reset that follows elsewhere: these are of the episode's last step
             found = self._add_info(found, {**asked, FINAL_INFO: asked} if done[env] else asked, env)
-        if done.any():
+        if done.any() and all(_FINAL in infos[over] for over in np.flatnonzero(done)):
             final = np.full(self.num_envs, None, dtype=object)
             for over in np.flatnonzero(done):
                 final[over] = infos[over][_FINAL]

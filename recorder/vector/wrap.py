@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -59,16 +61,23 @@ def wrap(
     Returns the wrapped environment. Raises UsageError where steps or dt cannot be, dt or the autoreset mode is not
     known, physics of another task is asked for, or images is another word.
     """
-    if isinstance(infos, str):
-        raise UsageError(f'infos is a list of names, such as ("{infos}",)')
+    names = names_of(infos)
+    if steps is not None:
+        if not isinstance(steps, Integral) or isinstance(steps, bool):
+            raise UsageError(f"steps is a whole number, not {steps!r:.40}")
+        steps = int(steps)
+    if not isinstance(path, (str, os.PathLike)):
+        raise UsageError(f"path is the file to write, not {path!r:.40}")
+    if not all(callable(getattr(envs, name, None)) for name in ("reset", "step")) or isinstance(envs, type):
+        raise UsageError(f"{envs!r:.40} is no environment: it has no reset and step")
     if _is_vec_env(envs):
         from gpusimbench.recorder.vector.stable_baselines import AsGymnasium, RecordedVecEnv
 
-        inner = AsGymnasium(envs, infos)
-        return RecordedVecEnv(wrap(inner, path, steps=steps, dt=dt, infos=infos, physics=physics, images=images))
+        inner = AsGymnasium(envs, names)
+        return RecordedVecEnv(wrap(inner, path, steps=steps, dt=dt, infos=names, physics=physics, images=images))
     if steps is not None and steps < 1:
         raise UsageError(f"at least 1 step is recorded, not {steps}")
-    names, how = tuple(dict.fromkeys(infos)), Images.of(images)
+    how = Images.of(images)
     if is_functional(envs):
         from gpusimbench.recorder.vector.device.functional import RecordedFunctional
 
@@ -95,7 +104,20 @@ def given_or(dt: float | None, told: float | None) -> float:
     """The time step that was given, or else the task's own [s]; UsageError where there is neither."""
     if dt is None and told is None:
         raise UsageError("the environment does not say what simulated time a step takes: give dt [s]")
-    return float(told if dt is None else dt)  # type: ignore[arg-type]
+    try:
+        return float(told if dt is None else dt)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise UsageError(f"dt is a number of seconds, not {dt!r:.40}") from None
+
+
+def names_of(infos: Sequence[str]) -> tuple[str, ...]:
+    """Names of infos, each once; UsageError where they are no list of texts."""
+    if isinstance(infos, str):
+        raise UsageError(f'infos is a list of names, such as ("{infos}",)')
+    listed = tuple(infos) if isinstance(infos, Iterable) else (None,)
+    if not all(isinstance(name, str) for name in listed):
+        raise UsageError(f"infos is a list of names, not {infos!r:.40}")
+    return tuple(dict.fromkeys(listed))
 
 
 def _is_vec_env(envs: Any) -> bool:

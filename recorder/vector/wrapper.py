@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
 from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.recorder.vector.device.rows import check_envs
 from gpusimbench.recorder.vector.fields import NOT_GIVEN, fields_of, recorded_dtype
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.infos import array_name, nothing_told, told
-from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode, mode_of, with_final
+from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode, five, mode_of, with_final
 from gpusimbench.recorder.vector.origin import origin_of
 from gpusimbench.recorder.vector.physics import Physics
 from gpusimbench.schemas.errors import UsageError
@@ -77,14 +78,14 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             self._recording(lambda: self._end(None))
         if self._ended:
             return self.env.step(actions)
-        given = _arrays(actions, "action")  # before the environment may change them
+        given = self._given(actions)  # before the environment may change them
         if self._log is None:
             self._begin(given)
         try:
             if self._filled == _ROWS:
                 self._write()
             returned = self.env.step(actions)
-            self._stepped(given, *returned)
+            self._stepped(given, *five(returned))
         except BaseException as error:
             self._end(error)
             raise
@@ -145,6 +146,14 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         seen = self._seen(_arrays(observation, "observation", copy=False))
         self._put(self._filled - 1, {**seen, **self._states(), **self._counts()})
 
+    def _given(self, actions: Any) -> Row:
+        if isinstance(actions, (list, tuple)) and not isinstance(self.action_space, gymnasium.spaces.Tuple):
+            try:
+                actions = np.array(actions)  # one for each environment
+            except ValueError:  # they are of different shapes
+                raise UsageError("action is a list of arrays of different shapes") from None
+        return _arrays(actions, "action")
+
     def _begin(self, actions: Row) -> None:
         if self._start is None:
             raise UsageError("a vector environment is reset before it is stepped")
@@ -157,6 +166,7 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         facts = {"stepped": np.zeros(n_env, dtype=np.bool_), **self._counts()}
         of_info = nothing_told(self._infos, n_env)
         row = {**given, **seen, **of_step, **_final(seen), **facts, **of_info}
+        check_envs(row)
         notes = {
             **dict.fromkeys([*given, *of_step], _NO_STEP),
             **dict.fromkeys(map(array_name, self._infos), NOT_GIVEN),

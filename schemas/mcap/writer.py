@@ -17,10 +17,12 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from io import FileIO
+from pathlib import Path
 from typing import NamedTuple
 
 from gpusimbench.schemas.mcap.crc import combine
-from gpusimbench.schemas.mcap.records import INDEX_ENTRY, MAGIC, Op
+from gpusimbench.schemas.mcap.declarations import NewDeclarations
+from gpusimbench.schemas.mcap.records import INDEX_ENTRY, MAGIC, Op, Record
 
 _CHUNK_BYTES = 128 * 1024
 
@@ -107,6 +109,7 @@ class McapWriter:
         self._crc = 0  # of the data section so far
         self._schemas: list[bytes] = []
         self._channels: list[bytes] = []
+        self._declared = NewDeclarations(Path("the file"))  # as a reader takes them
         self._chunk_indexes: list[bytes] = []
         self._attachment_indexes: list[bytes] = []
         self._attachments: dict[str, _Place] = {}
@@ -127,9 +130,10 @@ class McapWriter:
         return number
 
     def channel(self, topic: str, schema: int, metadata: Mapping[str, str], *, encoding: str = "protobuf") -> int:
-        """Declare a channel of a declared schema; returns its number."""
+        """Declare a channel of a declared schema; returns its number. DamagedRecording where no reader takes it."""
         number = len(self._channels) + 1
         content = struct.pack("<HH", number, schema) + _text(topic) + _text(encoding) + _text_map(metadata)
+        self._declared.parse(Record(Op.CHANNEL, self._offset, memoryview(content)))
         self._channels.append(_record(Op.CHANNEL, content))
         self._append(self._channels[-1])
         return number

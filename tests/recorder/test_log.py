@@ -273,6 +273,8 @@ def test_no_file_is_overwritten(tmp_path: Path) -> None:
         ({"fields": (FIELDS[0], FIELDS[0])}, "two fields have the same group and name"),
         ({"fields": (body_field("cubes", "position", "float32", ("a", "a")),)}, "two items of .* have the same name"),
         ({"options": {"drag": np.float32(1)}}, "plain values"),
+        ({"options": {"drag": float("nan")}}, "could not be read again: simulation.json is not JSON: NaN"),
+        ({"steps": True}, "could not be read again: steps is not a whole number"),
     ],
 )
 def test_what_no_evaluator_would_read(tmp_path: Path, others: dict[str, Any], says: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ pytest.importorskip("torch")
 
 import torch
 
-from gpusimbench import UsageError
+from gpusimbench import UsageError, open_recording, wrap
 from gpusimbench.recorder.vector.device.torch_rows import TorchRows
 
 
@@ -64,3 +65,105 @@ def test_the_last_row_is_replaced_in_part(device: str) -> None:
     found = rows.take()()
     assert (before()["seen"] == 2).all()
     assert found["seen"][:, 0, 0].tolist() == [1, 3] and found["reward"][:, 0].tolist() == [1, 2]
+
+
+N_ENV = 3
+
+
+class Counting:
+    """Environments on the host that count their steps; their user resets some by the option env_idx.
+
+    fails  the step that raises an error once
+    """
+
+    device = torch.device("cpu")
+    num_envs = N_ENV
+    dt = 0.1
+    metadata = {"autoreset_mode": "Disabled"}
+
+    def __init__(self, fails: int = -1, **returned: Any) -> None:
+        self._steps, self._fails, self._returned = torch.zeros(N_ENV), fails, returned
+
+    def reset(self, options: Any = None) -> Any:
+        self._steps[slice(None) if options is None else options["env_idx"]] = 0
+        return self._steps[:, None].clone(), {}
+
+    def step(self, action: Any) -> Any:
+        if self._steps.max() == self._fails:
+            self._fails = -1
+            raise RuntimeError("the arm is stuck")
+        self._steps += 1
+        never = torch.zeros(N_ENV, dtype=torch.bool)
+        found = {
+            "obs": self._steps[:, None].clone(),
+            "reward": torch.ones(N_ENV),
+            "term": never,
+            "cut": never,
+            "info": {},
+        }
+        return tuple({**found, **self._returned}.values())
+
+    def close(self) -> None:
+        pass
+
+
+def stepped(env: Any, path: Path, action: Any = None, resets: Any = ()) -> None:
+    """Six steps of an environment, with resets before the fourth."""
+    with wrap(env, path, steps=6, infos=("success",)) as recorded:
+        recorded.reset()
+        for step in range(6):
+            for options in resets if step == 3 else ():
+                recorded.reset(options=options)
+            recorded.step(torch.zeros(N_ENV, 1) if action is None else action)
+
+
+@pytest.mark.parametrize(
+    ("resets", "begun"),
+    [([{"env_idx": [0]}, {"env_idx": [2]}], [1, 0, 1]), ([{"env_idx": [0]}, None], [1, 1, 1])],
+)
+def test_resets_between_two_steps_add_up(resets: Any, begun: Any, tmp_path: Path) -> None:
+    """Begin an episode in each environment that was reset, whichever of the resets between two steps did it."""
+    stepped(Counting(), tmp_path / "a.mcap", resets=resets)
+    recording = open_recording(tmp_path / "a.mcap")
+    assert recording.status == "complete"
+    assert recording.state("env", "episode")[-1].ravel().tolist() == begun
+    assert recording.state("env", "observation")[-1].ravel().tolist() == [3 if new else 6 for new in begun]
+
+
+@pytest.mark.parametrize(
+    ("returned", "action", "said"),
+    [
+        (
+            {"term": torch.zeros(N_ENV, 1, dtype=torch.bool)},
+            None,
+            r"terminated has shape \(3, 1\); a truth value for each",
+        ),
+        ({"cut": False}, None, r"truncated has shape \(\); a truth value"),
+        ({"reward": 1.0}, None, r"reward has shape \(\)"),
+        ({"reward": torch.ones(N_ENV) * 1j}, None, "reward is torch.complex64; arrays of real numbers"),
+        ({"obs": None}, None, "observation is NoneType, and no array"),
+        ({"info": {"success": "yes"}}, None, "info success is str, and no array"),
+        ({"more": 1}, None, "step returned 6 values, not observation"),
+        ({}, "up", "action is str, and no array"),
+        ({}, torch.zeros(N_ENV + 1, 1), r"action has shape \(4, 1\); a row for each of 3"),
+    ],
+)
+def test_what_is_no_array_of_all_environments(returned: Any, action: Any, said: str, tmp_path: Path) -> None:
+    """Say at the first step what is wrong, and leave no file."""
+    with pytest.raises(UsageError, match=said):
+        stepped(Counting(**returned), tmp_path / "a.mcap", action)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_first_step_that_fails(tmp_path: Path) -> None:
+    """Begin no recording behind a step that is missing: a reset is wanted first."""
+    with wrap(Counting(fails=0), tmp_path / "a.mcap", steps=2) as recorded:
+        recorded.reset()
+        with pytest.raises(RuntimeError, match="stuck"):
+            recorded.step(torch.zeros(N_ENV, 1))
+        with pytest.raises(UsageError, match="reset before it is stepped, and after a first step that failed"):
+            recorded.step(torch.zeros(N_ENV, 1))
+        recorded.reset()
+        for _ in range(2):
+            recorded.step(torch.zeros(N_ENV, 1))
+    assert open_recording(tmp_path / "a.mcap").status == "complete"

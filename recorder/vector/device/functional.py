@@ -43,11 +43,13 @@ class RecordedFunctional:
         self._env = env
         self._path, self._steps, self._dt, self._infos, self._physics = path, steps, dt, infos, physics
         self._images = images
-        self._reset, self._step = (f if hasattr(f, "lower") else jax.jit(f) for f in (env.reset, env.step))
+        own = (env.reset, env.step)
+        again = isinstance(env, RecordedFunctional)  # which JAX cannot compile, and which has compiled them
+        self._reset, self._step = (f if again or hasattr(f, "lower") else jax.jit(f) for f in own)
         self._log = DeviceLog(JaxRows(), steps)
         self._layout: states.Layout | None = None
         self._key: Any = None  # of the state that the last call of step returned
-        self._began: Any = None  # of that of the last reset, where no step followed
+        self._began: Any = None  # of that of the last reset, to which the user may come back
         self._rng = ""
 
     def __getattr__(self, name: str) -> Any:
@@ -79,7 +81,7 @@ class RecordedFunctional:
             layout = self._begin(state, action)
             self._log.make_room()
             returned = self._step(state, action)
-            self._key, self._began = states.key_of(returned), None
+            self._key = states.key_of(returned)
             self._log.keep(layout.row(returned, action))
         except BaseException as error:
             self._log.end(error)
@@ -131,7 +133,8 @@ class RecordedFunctional:
         return self._layout
 
     def _which(self, now: Any, *, hidden: bool) -> Which:
-        if self._began is not None and _same(now, self._began):
+        began, before = self._began, self._key[1]
+        if began is not None and (_same(now, began) or (now[1] is not None and now[1] is began[1] is not before)):
             return Which.ALL
         moved = now[1] is not self._key[1] if now[1] is not None else True
         return Which.ENDED if moved and not hidden else Which.NONE

@@ -37,11 +37,11 @@ class Which(Enum):
 class Reset:
     """Observations of a row were replaced before the next step.
 
-    which   environments begin an episode there
-    before  the observations that they replaced, [env, ...]
+    which   environments begin an episode there, of each reset
+    before  the observations that the first of them replaced, [env, ...]
     """
 
-    which: Which | NDArray[np.bool_]
+    which: tuple[Which | NDArray[np.bool_], ...]
     before: Callable[[], Columns]
 
 
@@ -75,7 +75,7 @@ class History:
             else:
                 stepped[row] = False
             if row in resets:
-                self._ledger.reset(_mask(resets[row].which, done[row]))
+                self._ledger.reset(np.any([_mask(which, done[row]) for which in resets[row].which], axis=0))
             counts["episode"][row], counts["episode_step"][row] = self._ledger.episode, self._ledger.step
         if not rows.get(FINAL_GIVEN, _TRUE).all():
             raise UsageError("an episode ended in a step that begins the next one, and info has no final_obs")

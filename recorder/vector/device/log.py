@@ -14,7 +14,7 @@ from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hash
 from gpusimbench.recorder.capture.writing import Writing
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.history import History, Reset, Which
-from gpusimbench.recorder.vector.device.rows import Arrays, Columns, Rows
+from gpusimbench.recorder.vector.device.rows import OBSERVATION, Arrays, Columns, Rows, check_envs
 from gpusimbench.recorder.vector.fields import GIVEN, NO_STEP, NOT_GIVEN, fields_of, recorded_dtype
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.modes import FINAL, Mode
@@ -127,7 +127,11 @@ class DeviceLog:
         return self._log is not None
 
     def begin(self, row: Arrays, log: HostLog) -> None:
-        """Begin the recording with the observations of a reset, and 0 for what only steps give."""
+        """Begin the recording with the observations of a reset, and 0 for what only steps give.
+
+        UsageError where arrays are none, or not of all environments.
+        """
+        check_envs(row)
         self._rows.keep(row)
         try:
             log.append(self._rows.take()(), {})
@@ -151,10 +155,13 @@ class DeviceLog:
             self.end(None)
 
     def replace(self, row: Arrays, which: Which | NDArray[np.bool_]) -> None:
-        """The last row's observations are others, since the user reset environments."""
-        before = self._rows.last([name for name in row if name.startswith("observation")])
-        self._resets.setdefault(self._rows.filled - 1, Reset(which, before))
+        """The last row's observations are others, since the user reset environments. UsageError as of Rows.check."""
+        self._rows.check(row)
+        at = self._rows.filled - 1
+        former = self._resets.get(at)  # of other environments, or of the same ones
+        before = former.before if former else self._rows.last([n for n in row if n.startswith(OBSERVATION)])
         self._rows.replace(row)
+        self._resets[at] = Reset((*(former.which if former else ()), which), before)
 
     def fingerprint(self, name: str, arrays: Any, *, reset: bool) -> None:
         """See wrapper.Recorded.fingerprint.

@@ -11,7 +11,8 @@ import numpy as np
 from gpusimbench.recorder.capture.states import STEPS_PER_BLOCK
 from gpusimbench.recorder.vector.device import states as of_states
 from gpusimbench.recorder.vector.device.log import HostLog
-from gpusimbench.recorder.vector.wrap import given_or
+from gpusimbench.recorder.vector.device.rows import check_envs
+from gpusimbench.recorder.vector.wrap import given_or, names_of
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import mapped
 
@@ -47,14 +48,19 @@ def record_rollout(
     The recording is the one of wrap. Arrays come to the host 50 steps at a time. Returns nothing. Raises UsageError
     where arrays are not of the same steps, or as of wrap.
     """
-    layout, alone = (
-        of_states.Layout(first, infos=infos, physics=physics, full=of_states.cut_after(env), stacked=stacked)
-        for stacked in (True, False)
-    )
     if of_states.traced(first, states, actions):
         raise UsageError("record_rollout is called behind the scan, outside of functions that JAX compiles")
+    of_states.check_state(states)
+    names = names_of(infos)
+    layout, alone = (
+        of_states.Layout(first, infos=names, physics=physics, full=of_states.cut_after(env), stacked=stacked)
+        for stacked in (True, False)
+    )
     rows = layout.row(states, actions)
+    if 0 in (*rows["reward"].shape[:1], *(len(array) for array in rows.values() if array.ndim)):
+        raise UsageError("the scan stacked no states: at least 1 step is recorded")
     begin = alone.first(first, mapped(lambda array: array[0], actions))
+    check_envs(begin)
     steps = len(rows["reward"])
     for name, array in rows.items():
         if tuple(array.shape[1:]) != tuple(begin[name].shape) or len(array) != steps:

@@ -18,7 +18,33 @@ Arrays = Mapping[str, Any]
 Columns = dict[str, NDArray[Any]]
 """The same of several rows on the host, [row, env, ...]."""
 
+OBSERVATION = "observation"
+"""Begins the names of the arrays of observations."""
+
+_FLAGS = ("done", "truncation", "terminated", "truncated")
+
+_Layout = dict[str, tuple[Any, tuple[int, ...]]]
+
 _BLOCK_BYTES = 128 << 20  # that a block may take on the device; images of many environments take that in one row
+
+
+def check_envs(row: Arrays) -> None:
+    """UsageError where arrays are not of as many environments as there are rewards, or a flag is not one for each."""
+    shapes = {name: tuple(getattr(array, "shape", ())) for name, array in row.items()}
+    envs = shapes["reward"][:1]
+    if not envs:
+        raise UsageError("reward has shape (); a number for each environment is recorded")
+    for name, shape in shapes.items():
+        if shape[:1] != envs or (name in _FLAGS and len(shape) > 1):
+            what = "a truth value" if name in _FLAGS else "a row"
+            raise UsageError(f"{name} has shape {shape}; {what} for each of {envs[0]} environments is recorded")
+
+
+def _layout(row: Arrays) -> _Layout:
+    return {
+        name: (getattr(array, "dtype", type(array).__name__), tuple(getattr(array, "shape", ())))
+        for name, array in row.items()
+    }
 
 
 class Rows(ABC):
@@ -30,7 +56,7 @@ class Rows(ABC):
     def __init__(self) -> None:
         self.filled = 0
         self._most = 1
-        self._layout: dict[str, tuple[Any, tuple[int, ...]]] = {}
+        self._layout: _Layout = {}
 
     @property
     def full(self) -> bool:
@@ -42,21 +68,23 @@ class Rows(ABC):
 
         UsageError where an array has another dtype or shape than in the rows before.
         """
-        layout = {name: (array.dtype, tuple(array.shape)) for name, array in row.items()}
+        layout = _layout(row)
         if not self._layout:
+            self._check_numbers(row)
             size = sum(self.itemsize(array) * int(np.prod(array.shape)) for array in row.values())
             self._layout, self._most = layout, max(1, min(STEPS_PER_BLOCK, _BLOCK_BYTES // max(1, size)))
-        elif layout != self._layout:
-            name = next(name for name in {**self._layout, **layout} if self._layout.get(name) != layout.get(name))
-            dtype, shape = layout.get(name, ("missing", ()))
-            before, former = self._layout.get(name, ("missing", ()))
-            raise UsageError(f"{name} is {dtype} {shape}, and was {before} {former} before")
+        self._check_layout(layout, self._layout)
         self._put(row, self.filled)
         self.filled += 1
 
     def replace(self, row: Arrays) -> None:
-        """Put other arrays into the last row, in place of some that are there."""
+        """Put other arrays, which `check` takes, into the last row, in place of some that are there."""
         self._put(row, self.filled - 1)
+
+    def check(self, row: Arrays) -> None:
+        """UsageError where arrays cannot replace those of the last row: of observations, all are replaced."""
+        seen = {name: at for name, at in self._layout.items() if name in row or name.startswith(OBSERVATION)}
+        self._check_layout(_layout(row), seen)
 
     @abstractmethod
     def last(self, names: Iterable[str]) -> Callable[[], Columns]:
@@ -78,6 +106,23 @@ class Rows(ABC):
     def itemsize(self, array: Any) -> int:
         """Bytes of a number of an array."""
         return self.described(array)[0].itemsize
+
+    def _check_numbers(self, row: Arrays) -> None:
+        for name, array in row.items():
+            try:
+                kind = self.described(array)[0].kind
+            except (AttributeError, TypeError):
+                kind = "O"
+            if kind not in "fiub":
+                told = getattr(array, "dtype", type(array).__name__)
+                raise UsageError(f"{name} is {told}; arrays of real numbers or truth values are taken")
+
+    @staticmethod
+    def _check_layout(now: _Layout, before: _Layout) -> None:
+        if now != before:
+            name = next(name for name in {**before, **now} if before.get(name) != now.get(name))
+            (dtype, shape), (former, other) = (layout.get(name, ("missing", ())) for layout in (now, before))
+            raise UsageError(f"{name} is {dtype} {shape}, and was {former} {other} before")
 
     @abstractmethod
     def _put(self, row: Arrays, at: int) -> None:

@@ -54,8 +54,7 @@ class Layout:
         self, state: Any, *, infos: Sequence[str], physics: bool, full: int = 0, stacked: bool = False
     ) -> None:
         self._infos, self._full = infos, full
-        if missing := [name for name in ("obs", "reward", "done") if not hasattr(state, name)]:
-            raise UsageError(f"{type(state).__name__} has no {missing[0]}, and is no state of an environment")
+        check_state(state)
         pipeline = _pipeline(state)
         self._physics: tuple[str, ...] = ()
         if physics:
@@ -67,7 +66,7 @@ class Layout:
 
     def seen(self, state: Any) -> Row:
         """What a reset replaces: observations and physics, [env, ...]."""
-        row = dict(leaves(state.obs, "observation"))
+        row = _arrays(state.obs, "observation")
         pipeline = _pipeline(state)
         row |= {f"{PHYSICS}{name}": getattr(pipeline, name) for name in self._physics}
         return self._batched(row)
@@ -79,7 +78,7 @@ class Layout:
         told = {f"{INFO}{name}": _scalar(state, name) for name in self._infos}
         done = state.done
         of_step = {DONE: done, TRUNCATION: done * 0 if truncation is None else truncation}
-        acted = self._batched(dict(leaves(action, "action")))
+        acted = self._batched(_arrays(action, "action"))
         return {**acted, **self.seen(state), **self._batched({"reward": state.reward, **of_step, **told})}
 
     def first(self, state: Any, action: Any) -> Row:
@@ -91,6 +90,12 @@ class Layout:
 
     def _batched(self, row: Row) -> Row:
         return {name: array[self._axes] for name, array in row.items()} if self._single else row
+
+
+def check_state(state: Any) -> None:
+    """UsageError where something is no state of an environment."""
+    if missing := [name for name in ("obs", "reward", "done") if not hasattr(state, name)]:
+        raise UsageError(f"{type(state).__name__} has no {missing[0]}, and is no state of an environment")
 
 
 def key_of(state: Any) -> tuple[Any, Any]:
@@ -110,7 +115,8 @@ def traced(*trees: Any) -> bool:
 def about(env: Any, state: Any, options: Mapping[str, str]) -> About:
     """What a recording says of an environment whose states are such."""
     hidden = hides_the_last(state)
-    device = next(iter(state.reward.devices()))
+    devices = getattr(state.reward, "devices", None)  # numpy's arrays have none
+    device = name_of(next(iter(devices()))) if devices else "cpu"
     whole = getattr(env, "unwrapped", env)
     package = next((root for root in _roots(whole) if root in _ORIGINS), "jax")
     try:
@@ -122,7 +128,7 @@ def about(env: Any, state: Any, options: Mapping[str, str]) -> About:
         simulator=package,
         version=number,
         scene=type(whole).__name__,
-        device=name_of(device),
+        device=device,
         mode=Mode.SAME_STEP if hidden else Mode.DISABLED,
         hidden=hidden,
         options={**options, **({"env_wrappers": wrappers} if wrappers else {}), "jax": version("jax")},
@@ -159,9 +165,17 @@ def _scalar(state: Any, name: str) -> Any:
     raise UsageError(f"the state has no metric or info named {name}")
 
 
+def _arrays(tree: Any, name: str) -> Row:
+    row = dict(leaves(tree, name))
+    for found, array in row.items():
+        if not hasattr(array, "dtype") or not hasattr(array, "shape"):
+            raise UsageError(f"{found} is {type(array).__name__}, and no array")
+    return row
+
+
 def _chain(env: Any) -> Iterator[Any]:
     yield env
-    while "env" in vars(env):
+    while "env" in getattr(env, "__dict__", {}):
         env = env.env
         yield env
 

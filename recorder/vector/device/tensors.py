@@ -17,7 +17,7 @@ from gpusimbench.recorder.vector.device.torch_rows import TorchRows
 from gpusimbench.recorder.vector.fields import GIVEN
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.infos import FINAL_INFO
-from gpusimbench.recorder.vector.modes import FINAL, Mode, mode_of
+from gpusimbench.recorder.vector.modes import FINAL, Mode, five, mode_of
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import leaves
 from gpusimbench.schemas.vector import FINAL_GIVEN
@@ -117,14 +117,17 @@ class RecordedTensors:
             given = self._given(action)  # before the environment may change them
             self._log.make_room()
             if not self._log.begun and self._start is None:
-                raise UsageError("a vector environment is reset before it is stepped")
+                raise UsageError(
+                    "a vector environment is reset before it is stepped, and after a first step that failed"
+                )
             returned = self.env.step(action)
-            row = {**given, **self._row(*returned)}
+            row = {**given, **self._row(*five(returned))}
             if not self._log.begun:
                 self._begin(row)
             self._log.keep(row)
         except BaseException as error:
             self._log.end(error)
+            self._start = None  # environments may have moved
             raise
         return returned
 
@@ -183,12 +186,14 @@ class RecordedTensors:
         self._log.begin(first, HostLog(self._path, steps=self._steps, dt=self._dt, about=self._about()))
 
     def _row(self, observation: Any, reward: Any, terminated: Any, truncated: Any, info: Any) -> Row:
-        row = dict(leaves(observation, "observation"))
-        flags = {"terminated": _tensor(terminated), "truncated": _tensor(truncated)}
+        row = {name: _tensor(array, name) for name, array in leaves(observation, "observation")}
+        flags = {"terminated": _tensor(terminated, "terminated"), "truncated": _tensor(truncated, "truncated")}
+        if not isinstance(info, Mapping):
+            info = {}
         of_info = _infos(self._told, info, row)
         if self._mode is Mode.SAME_STEP and not self._hidden:
             row |= _final(row, flags["terminated"] | flags["truncated"], info)
-        return {**row, "reward": _tensor(reward), **flags, **of_info}
+        return {**row, "reward": _tensor(reward, "reward"), **flags, **of_info}
 
     def _about(self) -> About:
         package = _package(self.env)
@@ -245,7 +250,7 @@ def _infos(names: tuple[str, ...], info: Mapping[str, Any], row: Row) -> Row:
         for key in name.split("/"):
             node = node.get(key) if isinstance(node, Mapping) else None
         given = node is not None
-        values = torch.as_tensor(node if given else 0.0, device=device).to(torch.float64).reshape(-1)
+        values = _tensor(node if given else 0.0, f"info {name}").to(device, torch.float64).reshape(-1)
         if given and len(values) != n_env:
             raise UsageError(f"info {name} is no number for each of {n_env} environments")
         found[f"{INFO}{name}"] = values.expand(n_env)
@@ -253,16 +258,17 @@ def _infos(names: tuple[str, ...], info: Mapping[str, Any], row: Row) -> Row:
     return found
 
 
-def _tensor(value: Any) -> Any:
+def _tensor(value: Any, name: str) -> Any:
     import torch
 
-    return torch.as_tensor(value)
+    try:
+        return torch.as_tensor(value)
+    except (TypeError, ValueError, RuntimeError):
+        raise UsageError(f"{name} is {type(value).__name__}, and no array of numbers") from None
 
 
 def _copied(tree: Any, name: str) -> Row:
-    import torch
-
-    return {found: torch.as_tensor(array).detach().clone() for found, array in leaves(tree, name)}
+    return {found: _tensor(array, found).detach().clone() for found, array in leaves(tree, name)}
 
 
 def _host(array: Any) -> Any:
