@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +41,6 @@ from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, notes_on
 from gpusimbench.evaluator.runs.toss_motion import (
-    MeasuredTosses,
     errors_of,
     local_errors_of,
     measured_tosses,
@@ -247,19 +245,23 @@ def _use_reference(run: Run) -> tuple[Reference | None, str]:
     return Reference(label, run.path, run.provenance.run_id, measured, c.scene, planar, tosses=tosses), ""
 
 
-_E = TypeVar("_E", TossErrors, LocalErrors)
-
-
 def _toss_errors(
-    errors: Callable[[Recording, MeasuredTosses], _E | Missing], runs: Sequence[Run], reference: Reference | Missing
-) -> list[_E | Missing]:
-    """Errors of each run against measured tosses; states are read again."""
+    runs: Sequence[Run], reference: Reference | Missing
+) -> tuple[list[TossErrors | Missing], list[LocalErrors | Missing]]:
+    """Errors of each run against measured tosses, over all of them and locally; states are read again."""
     if isinstance(reference, Missing) or reference.tosses is None:
-        why = reference.reason if isinstance(reference, Missing) else "the reference has no tosses"
-        return [Missing(why)] * len(runs)
+        none = Missing(reference.reason if isinstance(reference, Missing) else "the reference has no tosses")
+        return [none] * len(runs), [none] * len(runs)
     if any(run.configuration.scene != reference.scene for run in runs):
-        return [Missing(f"the reference is of scene {reference.scene}")] * len(runs)
-    return [errors(Recording(run.path), reference.tosses) for run in runs]
+        none = Missing(f"the reference is of scene {reference.scene}")
+        return [none] * len(runs), [none] * len(runs)
+    errors: list[TossErrors | Missing] = []
+    local: list[LocalErrors | Missing] = []
+    for run in runs:
+        recording = Recording(run.path)
+        errors.append(errors_of(recording, reference.tosses))
+        local.append(local_errors_of(recording, reference.tosses))
+    return errors, local
 
 
 def _evaluate_group(
@@ -271,7 +273,7 @@ def _evaluate_group(
     work: Work,
 ) -> _Found:
     runs = group.complete
-    errors = _toss_errors(errors_of, runs, reference), _toss_errors(local_errors_of, runs, reference)
+    errors = _toss_errors(runs, reference)
     if any(set_every(run.configuration) for run in runs):
         reference = Missing("the environments are set to the reference's states on the way")
     group_runs = GroupRuns(runs, reference, work, *errors)
