@@ -14,7 +14,8 @@ from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.compute.work import HERE, Work
 from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.probe.questions import Probed, probed
+from gpusimbench.evaluator.probe.arms import arms_of
+from gpusimbench.evaluator.probe.questions import Probed, answers
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.accumulation import accumulations
 from gpusimbench.evaluator.results.canonical import laws
@@ -141,8 +142,8 @@ def evaluate(
 def _probed(runs: Sequence[Run]) -> tuple[Probed, ...]:
     """What results depend on, of configurations of which some run was treated; states are read again."""
     treated = {_configuration(run) for run in runs if run.configuration.initial or run.configuration.intervention}
-    found = probed([Recording(run.path) for run in runs if _configuration(run) in treated])
-    return tuple(one for one in found if one.arms.varied or one.arms.treated)
+    among = arms_of([Recording(run.path) for run in runs if _configuration(run) in treated])
+    return tuple(Probed(arms, answers(arms)) for arms in among if arms.varied or arms.treated)
 
 
 def _configuration(run: Run) -> tuple[str, ...]:
