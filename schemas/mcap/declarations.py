@@ -21,7 +21,9 @@ MAX_DECLARED_TEXTS = 1 << 20
 """Texts in the metadata of all its channels: as objects, a text of a few bytes takes a hundred."""
 
 
-_REMEMBERED_BYTES = 16 << 10  # of a declaration that is kept beyond its file, so that others need not be parsed
+_REMEMBERED_BYTES = 4 << 10
+_REMEMBERED = 4096
+"""So many declarations of so many bytes at most are kept beyond their file, so that others need not be parsed."""
 
 
 class TooMuch(DamagedRecording):
@@ -67,7 +69,7 @@ class NewDeclarations:
         return _parsed(record.opcode, record.cursor(self._place))
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=_REMEMBERED)
 def _remembered(opcode: int, content: bytes) -> Schema | ChannelRecord:
     # files of one version of the recorder declare the same, at the beginning and in the summary
     return _parsed(opcode, Cursor(Path(), memoryview(content), 0, len(content)))
