@@ -16,7 +16,7 @@ from __future__ import annotations
 import hashlib
 import json
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ def state_name(field: StateField) -> str:
     return f"state {field.name}"
 
 
+_JOINED_BYTES = 64 << 10
 _LENGTH = struct.Struct("<Q")
 
 
@@ -81,6 +82,23 @@ class ContentDigest:
             digest = self._hashes.setdefault(topic, hashlib.sha256())
         digest.update(_LENGTH.pack(sum(map(len, parts))))
         for part in parts:
+            digest.update(part)
+
+    def messages(self, topic: str, contents: Iterable[Buffer]) -> None:
+        """Add the next messages of a topic; small ones are copied together, since each call costs more than they do."""
+        parts: list[Buffer] = []
+        held = 0
+        for content in contents:
+            if held + len(content) > _JOINED_BYTES:
+                self._update(topic, parts)
+                parts, held = [], 0
+            parts += (_LENGTH.pack(len(content)), content)
+            held += len(content)
+        self._update(topic, parts)
+
+    def _update(self, topic: str, parts: list[Buffer]) -> None:
+        digest = self._hashes.setdefault(topic, hashlib.sha256())
+        for part in parts if len(parts) <= 2 else (b"".join(parts),):
             digest.update(part)
 
     def digests(self) -> dict[str, str]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
+from gpusimbench.evaluator.read.columns import Columns, columns
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.mcap.reader import Container
@@ -72,7 +74,18 @@ class Messages:
                 raise self._unparsed(message, error) from None
             yield parsed
 
-    def parse(self, message: str, content: memoryview) -> Any:
+    def columns(self, topic: str, message: str, types: dict[int, tuple[str, str]]) -> Iterator[Columns]:
+        """The messages of a topic as columns, some at a time; see evaluator.read.columns."""
+        room = _FREE_BYTES + _MOST_PER_BYTE * self._container.size
+        parse = partial(self.parse, message)
+        for contents in self._container.batches(topic) if self.has(topic) else ():
+            sizes = [len(content) for content in contents]
+            room -= sum(sizes)
+            if room < 0 or max(sizes) > MAX_MESSAGE_BYTES:
+                raise self.damaged(f"{topic} unpacks into more than is read of a file of this size")
+            yield columns(contents, parse, types)
+
+    def parse(self, message: str, content: memoryview | bytes) -> Any:
         """One message; DamagedRecording where it is none of that type."""
         try:
             return message_class(message).FromString(bytes(content))

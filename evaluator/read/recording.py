@@ -295,8 +295,8 @@ class Recording:
                 self._check_hashes(hashes, steps, computed)
         for topic in self._container.channels:
             if topics.has_digest(topic):
-                for content in self._container.in_sequence(topic):
-                    digest.message(topic, content)
+                for contents in self._container.batches(topic):
+                    digest.messages(topic, contents)
         return digest
 
     def _check_metadata(self, topic: topics.StateTopic, channel: Channel) -> None:

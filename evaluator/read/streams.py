@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from array import array
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.memory import allocator_peak
+from gpusimbench.evaluator.read.columns import Columns
 from gpusimbench.evaluator.read.messages import MAX_NOTES, Messages
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import decode_fingerprints
@@ -61,6 +62,16 @@ class StepTiming:
         """Of all intervals, without what lies between them [s]."""
         return float((self.end_ns - self.start_ns).sum()) * 1e-9
 
+
+_SAMPLE = {
+    3: ("monotonic_ns", "fixed64"),
+    4: ("used_bytes", "uint64"),
+    5: ("total_bytes", "uint64"),
+    8: ("other_processes", "uint32"),
+    9: ("other_bytes", "uint64"),
+    10: ("reserved_bytes", "uint64"),
+}
+"""Numbers of a MemorySample by their field."""
 
 _Others = tuple[int | None, int | None]
 _UNTOLD: _Others = (None, None)
@@ -190,25 +201,30 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
     found = {}
     for topic in messages.topics("/memory/"):
         # hours of readings are many: nothing but numbers is kept of each, and one text for all that have it
-        times, used, total = array("q"), array("q"), 0
+        times, used, total = list[NDArray[np.int64]](), list[NDArray[np.int64]](), 0
         phases, checkpoints, texts = list[str](), list[str](), dict[str, str]()
         others, kept, reserved = list[_Others](), dict[_Others, _Others](), dict[str, int]()
-        for sample in messages.each(topic, "gsb.v1.MemorySample"):
-            if max(sample.used_bytes, sample.other_bytes, sample.reserved_bytes) >= _MAX_BYTES:
+        for part in messages.columns(topic, "gsb.v1.MemorySample", _SAMPLE):
+            numbers, which = part.numbers, part.which.tolist()
+            if max(numbers[name].max() for name in ("used_bytes", "other_bytes", "reserved_bytes")) >= _MAX_BYTES:
                 raise messages.damaged(f"{topic} has a reading that no memory can have")
-            times.append(sample.monotonic_ns)
-            used.append(sample.used_bytes)
-            phases.append(texts.setdefault(sample.phase, sample.phase))
-            checkpoints.append(texts.setdefault(sample.checkpoint, sample.checkpoint))
-            total = int(sample.total_bytes)
-            present = _others(sample)
-            others.append(kept.setdefault(present, present))
-            if sample.checkpoint and sample.HasField("reserved_bytes"):
-                reserved[checkpoints[-1]] = int(sample.reserved_bytes)
+            times.append(numbers["monotonic_ns"].view(np.int64))
+            used.append(numbers["used_bytes"].astype(np.int64))
+            total = int(numbers["total_bytes"][-1])
+            shapes = [
+                _Shape(texts.setdefault(s.phase, s.phase), texts.setdefault(s.checkpoint, s.checkpoint), s)
+                for s in part.parsed
+            ]
+            phases += [shapes[shape].phase for shape in which]
+            checkpoints += [shapes[shape].checkpoint for shape in which]
+            others += _others(part, kept)
+            for place, shape in enumerate(which):
+                if shapes[shape].checkpoint and shapes[shape].sample.HasField("reserved_bytes"):
+                    reserved[checkpoints[place - len(which)]] = int(numbers["reserved_bytes"][place])
         if times:
             found[topic.removeprefix("/memory/")] = MemoryTrace(
-                np.array(times, dtype=np.int64),
-                np.array(used, dtype=np.int64),
+                np.concatenate(times),
+                np.concatenate(used),
                 tuple(phases),
                 tuple(checkpoints),
                 total,
@@ -218,11 +234,23 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
     return found
 
 
-def _others(sample: Any) -> _Others:
-    return (
-        int(sample.other_processes) if sample.HasField("other_processes") else None,
-        int(sample.other_bytes) if sample.HasField("other_bytes") else None,
-    )
+class _Shape(NamedTuple):
+    phase: str
+    checkpoint: str
+    sample: Any
+
+
+def _others(part: Columns, kept: dict[_Others, _Others]) -> list[_Others]:
+    told = [(s.HasField("other_processes"), s.HasField("other_bytes")) for s in part.parsed]
+    if not any(chain.from_iterable(told)):
+        return [kept.setdefault(_UNTOLD, _UNTOLD)] * len(part.which)
+    numbers = part.numbers["other_processes"].tolist(), part.numbers["other_bytes"].tolist()
+    found = list[_Others]()
+    for shape, count, used in zip(part.which.tolist(), *numbers, strict=True):
+        counted, known = told[shape]
+        present = (count if counted else None, used if known else None)
+        found.append(kept.setdefault(present, present))
+    return found
 
 
 def read_fingerprints(messages: Messages, phase: str, *, n_env: int, cut_short: bool) -> Fingerprints | None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,8 @@ from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.compute.work import HERE, Work
 from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.probe.questions import Probed, probed
+from gpusimbench.evaluator.probe.arms import arms_of
+from gpusimbench.evaluator.probe.questions import Probed, answers
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.accumulation import accumulations
 from gpusimbench.evaluator.results.canonical import laws
@@ -42,7 +42,6 @@ from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, notes_on
 from gpusimbench.evaluator.runs.toss_motion import (
-    MeasuredTosses,
     errors_of,
     local_errors_of,
     measured_tosses,
@@ -143,8 +142,8 @@ def evaluate(
 def _probed(runs: Sequence[Run]) -> tuple[Probed, ...]:
     """What results depend on, of configurations of which some run was treated; states are read again."""
     treated = {_configuration(run) for run in runs if run.configuration.initial or run.configuration.intervention}
-    found = probed([Recording(run.path) for run in runs if _configuration(run) in treated])
-    return tuple(one for one in found if one.arms.varied or one.arms.treated)
+    among = arms_of([Recording(run.path) for run in runs if _configuration(run) in treated])
+    return tuple(Probed(arms, answers(arms)) for arms in among if arms.varied or arms.treated)
 
 
 def _configuration(run: Run) -> tuple[str, ...]:
@@ -247,19 +246,23 @@ def _use_reference(run: Run) -> tuple[Reference | None, str]:
     return Reference(label, run.path, run.provenance.run_id, measured, c.scene, planar, tosses=tosses), ""
 
 
-_E = TypeVar("_E", TossErrors, LocalErrors)
-
-
 def _toss_errors(
-    errors: Callable[[Recording, MeasuredTosses], _E | Missing], runs: Sequence[Run], reference: Reference | Missing
-) -> list[_E | Missing]:
-    """Errors of each run against measured tosses; states are read again."""
+    runs: Sequence[Run], reference: Reference | Missing
+) -> tuple[list[TossErrors | Missing], list[LocalErrors | Missing]]:
+    """Errors of each run against measured tosses, over all of them and locally; states are read again."""
     if isinstance(reference, Missing) or reference.tosses is None:
-        why = reference.reason if isinstance(reference, Missing) else "the reference has no tosses"
-        return [Missing(why)] * len(runs)
+        none = Missing(reference.reason if isinstance(reference, Missing) else "the reference has no tosses")
+        return [none] * len(runs), [none] * len(runs)
     if any(run.configuration.scene != reference.scene for run in runs):
-        return [Missing(f"the reference is of scene {reference.scene}")] * len(runs)
-    return [errors(Recording(run.path), reference.tosses) for run in runs]
+        none = Missing(f"the reference is of scene {reference.scene}")
+        return [none] * len(runs), [none] * len(runs)
+    errors: list[TossErrors | Missing] = []
+    local: list[LocalErrors | Missing] = []
+    for run in runs:
+        recording = Recording(run.path)
+        errors.append(errors_of(recording, reference.tosses))
+        local.append(local_errors_of(recording, reference.tosses))
+    return errors, local
 
 
 def _evaluate_group(
@@ -271,7 +274,7 @@ def _evaluate_group(
     work: Work,
 ) -> _Found:
     runs = group.complete
-    errors = _toss_errors(errors_of, runs, reference), _toss_errors(local_errors_of, runs, reference)
+    errors = _toss_errors(runs, reference)
     if any(set_every(run.configuration) for run in runs):
         reference = Missing("the environments are set to the reference's states on the way")
     group_runs = GroupRuns(runs, reference, work, *errors)

@@ -10,7 +10,7 @@ from gpusimbench.evaluator.results.canonical import Law
 from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.fidelity import Verdict
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.runs.groups import GroupKey, settings_asked, shown_status
+from gpusimbench.evaluator.runs.groups import GroupKey, shown_status
 from gpusimbench.evaluator.runs.physics.facts import Check
 
 
@@ -58,6 +58,8 @@ def faults_anywhere(result: GroupResult, results: Sequence[GroupResult]) -> tupl
 def _held_against(result: GroupResult, engine: GroupKey, other: GroupResult) -> Faults:
     """What is wrong with another group that is held against a group of an engine."""
     found, same_step = Faults(), result.group.key.dt == other.group.key.dt
+    if other.group.asked.simulator != engine.simulator:
+        return found
     theirs = _engine(other)
     if theirs == engine and (same_step or result.group.key.scene != other.group.key.scene):
         found = replace(faults(other), laws="")
@@ -69,7 +71,7 @@ def _held_against(result: GroupResult, engine: GroupKey, other: GroupResult) -> 
 def _engine(result: GroupResult) -> GroupKey:
     # packages, driver and variables may differ a little between scenes: what is wrong with one is held against all.
     # Given states, such as tosses, are others with another number of environments
-    asked = settings_asked(result.group.recordings)
+    asked = result.group.asked
     initial = "" if asked.initial.startswith("states:") else asked.initial
     return replace(asked, conditions="", switches="", initial=initial)
 

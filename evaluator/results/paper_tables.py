@@ -101,7 +101,7 @@ def variability(results: Sequence[GroupResult]) -> tuple[GroupResult, ...]:
 
 def _elsewhere(key: GroupKey, by_scene: Mapping[str, Sweep], results: Sequence[GroupResult]) -> tuple[str, ...]:
     swept = {p.result.label for sweep in by_scene.values() for p in sweep.points}
-    others = [r for r in results if r.label not in swept and settings_asked(r.group.recordings) == key]
+    others = [r for r in results if r.label not in swept and r.group.asked == key]
     return tuple(f"{r.group.key.scene}: {wrong}" for r in others if (wrong := faults(r)))
 
 

@@ -74,7 +74,7 @@ class _Parts:
     @property
     def key(self) -> GroupKey:
         if self.group:
-            return settings_asked(self.group.group.recordings)
+            return self.group.group.asked
         swept = self.sweep or self.robot
         assert swept is not None, "a contender has a group or a sweep"
         return _swept_settings(swept)

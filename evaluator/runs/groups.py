@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -115,6 +116,11 @@ class Group(Generic[_D]):
         """How many runs are complete, invalid, failed, incomplete, or complete but for lost data; zeros included."""
         found = Counter("lost data" if r.status == "complete" and not r.usable else r.status for r in self.recordings)
         return {name: found[name] for name in ("complete", "invalid", "failed", "incomplete", "lost data")}
+
+    @cached_property
+    def asked(self) -> GroupKey:
+        """The `settings_asked` of its recordings, which every group is asked for beside every other."""
+        return settings_asked(self.recordings)
 
     @property
     def captured(self) -> bool:

@@ -5,8 +5,8 @@ A recording that cannot be read is found out here, and the others go on without 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from gpusimbench.evaluator.read.episodes import count_episodes
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
-from gpusimbench.evaluator.read.stamp import stamp_of
+from gpusimbench.evaluator.read.stamp import Stamp, stamp_of
 from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.streams import Fingerprints
 from gpusimbench.evaluator.runs.array_history import array_histories
@@ -55,18 +55,20 @@ class Reader:
     sample_time  simulated time at which positions are compared [s]
     rules        gives the rules that an open recording breaks by itself: check.protocol.unmet_by_file
     verify       whether every byte is read and held against the digests
+    verified     stamps of files for which that was done before: a file that still has its stamp is not read as a whole
     """
 
     sample_time: float
     rules: Callable[[Recording], tuple[str, ...]]
     verify: bool = True
+    verified: Mapping[Place, Stamp] = field(default_factory=dict)
 
     def __call__(self, path: Place) -> Run | Unreadable:
         """Read one file, in memory that its size does not govern: see docs/scale.md."""
         stamp = stamp_of(path)
         try:
             recording = Recording(path)
-            if self.verify:
+            if self.verify and not (stamp and self.verified.get(path) == stamp):
                 verify(recording)
             run = read_run(recording, self.sample_time)
             return replace(run, unmet=self.rules(recording), stamp=stamp)

@@ -9,6 +9,7 @@ import numpy as np
 
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.metrics.variability import sampling_step
+from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.runs.known_files import read_all
 from gpusimbench.evaluator.runs.outcome import joint_fields, positional
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
@@ -73,7 +74,10 @@ def read_sampled(places: Sequence[Place], reader: Reader, work: Work, *, chosen:
             for place, file in files.items()
             if isinstance(file, Run) and file.usable and others.get(_scene(file)) == time
         ]
-        files.update(zip(again, read_all(again, replace(reader, sample_time=time), work), strict=True))
+        read = [(place, files[place]) for place in again]
+        stamps = {place: file.stamp for place, file in read if isinstance(file, Run) and isinstance(file.stamp, Stamp)}
+        anew = replace(reader, sample_time=time, verified=stamps)  # each was verified, if at all, a moment ago
+        files.update(zip(again, read_all(again, anew, work), strict=True))
     return Sampled(tuple(files[place] for place in places), reader.sample_time, others)
 
 

@@ -169,3 +169,17 @@ def distances_to_later(sets: _Floats, row: int, out: _Floats) -> None:
     column_of, row_of = np.empty(n, np.int64), np.empty(padded, np.int64)
     for other in range(row + 1, len(sets)):
         out[other] = _mean_cost(sets[row], sets[other], cost, price, column_of, row_of)
+
+
+def assigned_columns(distance: _Floats) -> _Ints:
+    """The column of every row in the assignment of least mean distance, shape [n].
+
+    distance  square, at least 0 and far below 1e300, shape [n, n]
+    """
+    n = len(distance)
+    padded = -(-n // _LANES) * _LANES
+    cost = np.full((n, padded), _HUGE)
+    cost[:, :n] = distance
+    columns, rows = np.empty(n, np.int64), np.empty(padded, np.int64)
+    _solve(cost, np.empty(padded), columns, rows)
+    return columns

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.mcap.records import ChannelRecord, Op, Record, Schema, parse
+from gpusimbench.schemas.mcap.records import ChannelRecord, Cursor, Op, Record, Schema, parse
 
 MAX_DECLARED_BYTES = 64 << 20
 """Of all schemas and channels of a file together, each taken once."""
@@ -16,6 +19,11 @@ MAX_CHANNEL_BYTES = 1 << 20
 
 MAX_DECLARED_TEXTS = 1 << 20
 """Texts in the metadata of all its channels: as objects, a text of a few bytes takes a hundred."""
+
+
+_REMEMBERED_BYTES = 4 << 10
+_REMEMBERED = 4096
+"""So many declarations of so many bytes at most are kept beyond their file, so that others need not be parsed."""
 
 
 class TooMuch(DamagedRecording):
@@ -44,8 +52,7 @@ class NewDeclarations:
                 f"{self._place}: a channel takes {size} bytes to declare; at most {MAX_CHANNEL_BYTES} are read of one"
             )
         self._bytes += size
-        cursor = record.cursor(self._place)
-        found = parse(Schema, cursor) if record.opcode == Op.SCHEMA else parse(ChannelRecord, cursor)
+        found = self._said(record)
         self._texts += len(found.metadata) if isinstance(found, ChannelRecord) else 0
         if self._bytes > MAX_DECLARED_BYTES or self._texts > MAX_DECLARED_TEXTS:
             raise TooMuch(
@@ -54,6 +61,22 @@ class NewDeclarations:
             )
         self._taken.add(key)
         return found
+
+    def _said(self, record: Record) -> Schema | ChannelRecord:
+        if len(record.content) <= _REMEMBERED_BYTES:
+            with suppress(DamagedRecording):  # which has to name the file
+                return _remembered(record.opcode, bytes(record.content))
+        return _parsed(record.opcode, record.cursor(self._place))
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _remembered(opcode: int, content: bytes) -> Schema | ChannelRecord:
+    # files of one version of the recorder declare the same, at the beginning and in the summary
+    return _parsed(opcode, Cursor(Path(), memoryview(content), 0, len(content)))
+
+
+def _parsed(opcode: int, cursor: Cursor) -> Schema | ChannelRecord:
+    return parse(Schema, cursor) if opcode == Op.SCHEMA else parse(ChannelRecord, cursor)
 
 
 @dataclass(frozen=True)

@@ -120,42 +120,54 @@ class Container:
 
     def in_sequence(self, topic: str) -> Iterator[memoryview]:
         """Contents of a topic's messages in the order in which they were written; a missing one is damage."""
+        for contents in self.batches(topic):
+            yield from contents
+
+    def batches(self, topic: str) -> Iterator[list[memoryview]]:
+        """The same, those of a chunk together where they lie in it in their order."""
         # Read as they lie, so that each chunk is decompressed once; what comes too early waits, as a copy.
         waiting: dict[int, memoryview] = {}
         expected = held = 0
-        for sequence, content in self._as_they_lie(topic):
-            if sequence < expected or sequence in waiting:
-                raise self._contents.damaged(f"message {sequence} of {topic} is there twice")
-            if sequence > expected:
-                held += len(content) + MESSAGE_HEAD.size
-                if held > _HELD_BYTES:
-                    raise self._contents.damaged(
-                        f"message {expected} of {topic} is missing, or far behind those after it"
-                    )
-                waiting[sequence] = memoryview(bytes(content))
-                continue
-            yield content
-            expected += 1
-            while expected in waiting:
-                content = waiting.pop(expected)
-                held -= len(content) + MESSAGE_HEAD.size
-                yield content
+        for messages in self._as_they_lie(topic):
+            ready: list[memoryview] = []
+            for sequence, content in messages:
+                if sequence == expected and not waiting:
+                    ready.append(content)
+                    expected += 1
+                    continue
+                if sequence < expected or sequence in waiting:
+                    raise self._contents.damaged(f"message {sequence} of {topic} is there twice")
+                if sequence > expected:
+                    held += len(content) + MESSAGE_HEAD.size
+                    if held > _HELD_BYTES:
+                        raise self._contents.damaged(
+                            f"message {expected} of {topic} is missing, or far behind those after it"
+                        )
+                    waiting[sequence] = memoryview(bytes(content))
+                    continue
+                ready.append(content)
                 expected += 1
+                while expected in waiting:
+                    content = waiting.pop(expected)
+                    held -= len(content) + MESSAGE_HEAD.size
+                    ready.append(content)
+                    expected += 1
+            if ready:
+                yield ready
         if waiting:
             raise self._contents.damaged(f"message {expected} of {topic} is missing")
 
-    def _as_they_lie(self, topic: str) -> Iterator[tuple[int, memoryview]]:
+    def _as_they_lie(self, topic: str) -> Iterator[list[tuple[int, memoryview]]]:
         # sequence numbers and contents of a topic's messages; a chunk is opened once for all that it holds
         contents = self._contents
         for place, messages in groupby(contents.in_order(topic), key=itemgetter(0)):
             number = place - 1
             if number < 0 or contents.sole(number):
                 for _, offset, log_time, channel in messages:
-                    yield self.read(Message(channel, log_time, number, offset))
+                    yield [self.read(Message(channel, log_time, number, offset))]
                 continue
             data, _ = self._chunks.open(number)
-            for _, offset, log_time, channel in messages:
-                yield contents.message_in(data, offset, log_time, channel)
+            yield contents.messages_in(data, messages)
 
     def attachment(self, name: str) -> bytes | None:
         """An attachment's bytes, checked against its CRC; None where there is none of that name."""

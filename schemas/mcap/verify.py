@@ -6,7 +6,7 @@ from gpusimbench.schemas.mcap.contents import MAX_INDEX_BYTES, Contents, Message
 from gpusimbench.schemas.mcap.crc import combine
 from gpusimbench.schemas.mcap.declarations import Declarations
 from gpusimbench.schemas.mcap.records import INDEX_ENTRY, RECORD_HEAD, Attachment, Cursor, Op
-from gpusimbench.schemas.mcap.walk import Head, Walk, data_crc
+from gpusimbench.schemas.mcap.walk import Head, MessageHead, Walk, data_crc
 from gpusimbench.schemas.progress import moved
 
 _SHARE = 0.2  # of the time that a file takes to be read and verified
@@ -85,7 +85,8 @@ class _Verification:
         self._add_crc(chunk.begin)
         data, known = contents.chunks.open(number)
         # what a chunk declares, which nobody looks at where an index says what is in it, and other readers do
-        for record in self._walk.within(data, chunk.record - RECORD_HEAD):
+        messages: list[MessageHead] = []
+        for record in self._walk.within(data, chunk.record - RECORD_HEAD, messages):
             if record.opcode != Op.MESSAGE:
                 self._inside.take(record)
         if chunk.compression or not known:

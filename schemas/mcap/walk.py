@@ -13,7 +13,17 @@ from typing import Literal, NamedTuple
 
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mcap.decompression import decompress
-from gpusimbench.schemas.mcap.records import MAGIC, PRIVATE, RECORD_HEAD, Attachment, ChunkHead, Op, Record
+from gpusimbench.schemas.mcap.records import (
+    MAGIC,
+    MESSAGE_HEAD,
+    PRIVATE,
+    RECORD_HEAD,
+    WHOLE_MESSAGE_HEAD,
+    Attachment,
+    ChunkHead,
+    Op,
+    Record,
+)
 from gpusimbench.schemas.source import Source
 
 Fault = Literal["record", "unknown_record", "chunk_crc", "attachment_crc", "data_crc", "crc_missing"]
@@ -38,11 +48,26 @@ class Head(NamedTuple):
     end: int
 
 
-def split(data: memoryview) -> Iterator[Record]:
-    """Records one after another, up to the last whole one."""
+MessageHead = tuple[int, int, int, int]
+"""Of a message in a chunk: channel, begin and end of its record, log time [ns]."""
+
+
+def split(data: memoryview, messages: list[MessageHead] | None = None) -> Iterator[Record]:
+    """Records one after another, up to the last whole one.
+
+    messages  is told those that are messages, and they are not given; None where they are
+    """
     position, size = 0, len(data)
+    whole = size - WHOLE_MESSAGE_HEAD.size
+    head_of, message_of, message = _HEAD.unpack_from, WHOLE_MESSAGE_HEAD.unpack_from, Op.MESSAGE
     while (begin := position + RECORD_HEAD) <= size:
-        opcode, length = _HEAD.unpack_from(data, position)
+        if messages is not None and position <= whole:
+            opcode, length, channel, _, log_time, _ = message_of(data, position)
+            if opcode == message and length >= MESSAGE_HEAD.size and (end := begin + length) <= size:
+                messages.append((channel, position, end, log_time))
+                position = end
+                continue
+        opcode, length = head_of(data, position)
         if (end := begin + length) > size:
             return
         yield Record(opcode, position, data[begin:end])
@@ -158,10 +183,13 @@ class Walk:
             self._wrong("chunk_crc", what if self._report is None else f"{what}; it is of {held(data)}")
         return data
 
-    def within(self, data: memoryview, at: int) -> Iterator[Record]:
-        """What declares and what tells something among the records of the chunk at byte `at`, from its bytes."""
+    def within(self, data: memoryview, at: int, messages: list[MessageHead] | None = None) -> Iterator[Record]:
+        """What declares and what tells something among the records of the chunk at byte `at`, from its bytes.
+
+        messages  as of `split`
+        """
         inner = None
-        for inner in split(data):
+        for inner in split(data, messages):
             opcode = inner.opcode
             if opcode in _IN_CHUNK:
                 yield inner
@@ -169,7 +197,8 @@ class Walk:
                 self._unknown(opcode, len(inner.content), f"byte {inner.begin} of the chunk at byte {at}")
             else:
                 self._skip("record", f"the chunk at byte {at} holds a record of type {opcode}")
-        if (0 if inner is None else inner.end) != len(data):
+        ends = (0 if inner is None else inner.end, messages[-1][2] if messages else 0)
+        if max(ends) != len(data):
             self._wrong("record", f"the chunk at byte {at} ends within a record")
 
     def attachment(self, record: Record) -> Attachment:

@@ -260,6 +260,17 @@ def test_alike_is_a_matter_of_speed(n: int) -> None:
         assert n < pair.ASSIGNMENT_LIMIT or assumed.method != other.method
 
 
+@pytest.mark.parametrize("n", [201, 432])
+def test_compiled_assignment_has_the_same_bits(n: int) -> None:
+    """Solved by the kernel or by SciPy, the mean over an assignment is the same number."""
+    rng = np.random.default_rng(n)
+    distance = cdist(rng.normal(size=(n, 2)), rng.normal(size=(n, 2)))
+    assert exact.mean_assignment_distance(distance, compiled=True) == exact.mean_assignment_distance(distance)
+    a, b = rng.normal(size=(2, n, 2))
+    found, plain = wasserstein1(a, b, alike=True), wasserstein1(a, b)
+    assert (found.value, found.method, plain.method) == (plain.value, "assignment (compiled)", "assignment (scipy)")
+
+
 def test_result_can_be_sent() -> None:
     """Come back from pickling unchanged, as results do that workers send."""
     found = wasserstein1(cloud(5, 0), cloud(5, 1))

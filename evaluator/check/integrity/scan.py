@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,11 @@ class Stream:
     in_order: bool = True
     bytes: int = 0
     encodings: set[int] = field(default_factory=set)
+
+    @cached_property
+    def digested(self) -> bool:
+        """Whether the end record has a digest of its messages as they are."""
+        return topics.has_digest(self.topic)
 
 
 @dataclass
@@ -130,6 +136,7 @@ class _Scanner:
         self._new = NewDeclarations(source.place)
         self._chunk: _ChunkPlace | None = None  # that message indexes belong to
         self._messages = 0
+        self._contents: dict[str, list[memoryview]] = {}  # by topic, that their digest has not taken yet
 
     def scan(self) -> Scan:
         """Visit every record, up to where there is more of something than is read."""
@@ -176,6 +183,7 @@ class _Scanner:
             self._declare(record)
         elif record.opcode == Op.MESSAGE:
             self._message(record)
+            self._feed()
         elif record.opcode == Op.CHUNK:
             self._visit_chunk(record)
         elif record.opcode == Op.ATTACHMENT:
@@ -233,8 +241,8 @@ class _Scanner:
             self._problems.add(Kind.end, f"a message of {topic} lies behind the end record")
         if topic == topics.RUN_END:
             found.ends.append(bytes(content))
-        elif topics.has_digest(topic):
-            found.digest.message(topic, content)
+        elif stream.digested:
+            self._contents.setdefault(topic, []).append(content)
         elif topics.parse_state(topic) is not None:
             with self._problems.noting(Kind.stream):
                 stream.encodings.add(state_header(content).encoding)
@@ -262,9 +270,16 @@ class _Scanner:
                 elif placed := self._message(inner):
                     place.add_message(*placed, inner.begin)
             except TooMuch:
+                self._feed()
                 raise
             except DamagedRecording as error:
                 self._note(error)
+        self._feed()
+
+    def _feed(self) -> None:
+        for topic, contents in self._contents.items():
+            self._found.digest.messages(topic, contents)
+        self._contents.clear()
 
     def _held(self, data: memoryview) -> str:
         # the topics of a chunk, as far as its bytes still say
