@@ -265,7 +265,10 @@ def _node(tmp_path: Path, **wanted: Any) -> subprocess.Popen[str]:
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "gpusimbench.recorder.cluster.node"
          ], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        env={**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT / "src")},
+        env={
+            **os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT / "src"),
+            "GSB_ENVIRONMENTS": str(tmp_path / "none"),  # whatever this machine has
+        },
     )  # fmt: skip
     assert process.stdin is not None
     process.stdin.write(json.dumps(first) + "\n")
