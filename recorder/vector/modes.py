@@ -15,6 +15,11 @@ from gpusimbench.schemas.trees import leaves, on_host
 FINAL = "final_observation"
 
 
+def final_name(observation: str) -> str:
+    """The array of what steps led to, by that of what the next action is based on."""
+    return observation.replace("observation", FINAL, 1)
+
+
 class Mode(Enum):
     """When an environment whose episode has ended is reset; the words are those of Gymnasium.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from numbers import Integral
 from typing import Any
 
 SPEC_ID, KEYWORDS, WRAPPERS, VECTORIZED = "env_id", "env_kwargs", "env_wrappers", "vectorization"
@@ -15,6 +16,13 @@ _ONLY_WATCH = ("stable_baselines3.common.monitor:Monitor",)
 """Wrappers that change no number that an environment is given or returns."""
 
 _OF_THE_VECTOR = ("num_envs", "vectorization_mode", "vector_kwargs", "wrappers")
+
+
+def seed_of(seed: Any) -> tuple[int, dict[str, str]]:
+    """The seed of a reset, 0 where it is no whole number, and then the option that says what was given instead."""
+    if isinstance(seed, Integral):
+        return int(seed), {}
+    return 0, {"seeds": "not given" if seed is None else ", ".join(map(str, seed))}
 
 
 def origin_of(envs: Any) -> dict[str, str]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from numbers import Integral
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -14,11 +13,12 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.rows import check_envs
+from gpusimbench.recorder.vector.ending import Ending, refuses_hashes
 from gpusimbench.recorder.vector.fields import NOT_GIVEN, fields_of, recorded_dtype
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.infos import array_name, nothing_told, told
-from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode, five, mode_of, with_final
-from gpusimbench.recorder.vector.origin import origin_of
+from gpusimbench.recorder.vector.modes import Ledger, Mode, final_name, five, mode_of, with_final
+from gpusimbench.recorder.vector.origin import origin_of, seed_of
 from gpusimbench.recorder.vector.physics import Physics
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import leaves, on_host
@@ -30,7 +30,7 @@ _NO_STEP = "0 stands for it where no step was made: at step 0, and where a call 
 Row = dict[str, NDArray[Any]]
 
 
-class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
+class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
     """See gpusimbench.wrap, which makes it.
 
     What a step returned becomes a row of the recording when the next step begins: until then, a reset by the user may
@@ -99,10 +99,8 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
 
         UsageError as there, and where the recording has ended before the first call.
         """
-        if self._ended:
-            if self._hashing:
-                return
-            raise UsageError("the recording has ended: call fingerprint before the last of the recorded steps, too")
+        if refuses_hashes(ended=self._ended, hashing=self._hashing):
+            return
         self._hashing = True
         found = hashed(arrays, checked_name(name))
         states = self._made + 1 if self._start is not None else 0
@@ -117,17 +115,6 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             self._end(None)
         finally:
             self.env.close(**keywords)
-
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        """Close the environment, and end the recording; an error is its reason."""
-        try:
-            self._end(error)
-        finally:
-            self.close()
 
     def _recording(self, function: Callable[[], Any]) -> Any:
         # an error of the environment, or of the recording, is the recording's end
@@ -171,7 +158,7 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             **dict.fromkeys([*given, *of_step], _NO_STEP),
             **dict.fromkeys(map(array_name, self._infos), NOT_GIVEN),
             **self._of_images,
-            **{name.replace("observation", FINAL, 1): note for name, note in self._of_images.items()},
+            **{final_name(name): note for name, note in self._of_images.items()},
         }
         fields = fields_of(row, notes)
         options = {"autoreset_mode": self._mode.value, **origin_of(self.env)}
@@ -179,12 +166,11 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             options["images"] = self._images.value
         if self._infos:
             options["infos"] = ", ".join(self._infos)
-        if not isinstance(seed, Integral):
-            options["seeds"] = "not given" if seed is None else ", ".join(map(str, seed))
+        number, told_seeds = seed_of(seed)
+        options |= told_seeds
         log = RecordingWriter(
             self._path, simulator="gymnasium", version=gymnasium.__version__, scene=_name(self.env), n_env=n_env,
-            dt=self._dt, steps=self._steps, fields=fields, seed=int(seed) if isinstance(seed, Integral) else 0,
-            options=options, view=(),
+            dt=self._dt, steps=self._steps, fields=fields, seed=number, options=options, view=(),
         )  # fmt: skip
         log.__enter__()
         self._log = log
@@ -263,9 +249,7 @@ def _arrays(tree: Any, name: str, *, copy: bool = True) -> Row:
 
 
 def _final(seen: Row) -> Row:
-    return {
-        name.replace("observation", FINAL, 1): array for name, array in seen.items() if name.startswith("observation")
-    }
+    return {final_name(name): array for name, array in seen.items() if name.startswith("observation")}
 
 
 def _name(envs: Any) -> str:

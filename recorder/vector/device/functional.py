@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from gpusimbench.recorder.capture.array_hashes import hashed
 from gpusimbench.recorder.vector.device import states
 from gpusimbench.recorder.vector.device.history import Which
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 from gpusimbench.recorder.vector.device.log import DeviceLog, HostLog
+from gpusimbench.recorder.vector.ending import Ending
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.schemas.errors import UsageError
 
@@ -20,7 +21,7 @@ _TRACED = (
 )
 
 
-class RecordedFunctional:
+class RecordedFunctional(Ending):
     """See gpusimbench.wrap, which makes it. All else than reset, step and close is the environment's own.
 
     reset and step are those of the environment, compiled by jax.jit if they are not yet. The rows of steps stay on the
@@ -104,16 +105,8 @@ class RecordedFunctional:
             if callable(close := getattr(self._env, "close", None)):
                 close()
 
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        """End the recording; an error is its reason."""
-        try:
-            self._log.end(error)
-        finally:
-            self.close()
+    def _end(self, error: BaseException | None) -> None:
+        self._log.end(error)
 
     def _begin(self, state: Any, action: Any) -> states.Layout:
         """Bring the rows that are there to the state that a step begins in."""

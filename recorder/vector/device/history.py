@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.device.rows import Columns
 from gpusimbench.recorder.vector.fields import GIVEN
-from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode
+from gpusimbench.recorder.vector.modes import Ledger, Mode, final_name
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.vector import FINAL_GIVEN
 
@@ -98,7 +98,7 @@ class History:
         found: Columns = {}
         replaced = {row: reset.before() for row, reset in resets.items()}
         for name, array in rows.items():
-            final = name.replace("observation", FINAL, 1)
+            final = final_name(name)
             if not name.startswith("observation") or final in rows:
                 continue
             led_to = array

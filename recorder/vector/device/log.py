@@ -15,10 +15,10 @@ from gpusimbench.recorder.capture.writing import Writing
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.history import History, Reset, Which
 from gpusimbench.recorder.vector.device.rows import OBSERVATION, Arrays, Columns, Rows, check_envs
+from gpusimbench.recorder.vector.ending import refuses_hashes
 from gpusimbench.recorder.vector.fields import GIVEN, NO_STEP, NOT_GIVEN, fields_of, recorded_dtype
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.modes import FINAL, Mode
-from gpusimbench.schemas.errors import UsageError
 
 _HIDDEN = (
     "in the last step of an episode, the observation before that step stands for it: the environment returns the first "
@@ -168,10 +168,8 @@ class DeviceLog:
 
         reset  whether environments were reset before the first step
         """
-        if self.ended:
-            if self._hashing:
-                return
-            raise UsageError("the recording has ended: call fingerprint before the last of the recorded steps, too")
+        if refuses_hashes(ended=self.ended, hashing=self._hashing):
+            return
         self._hashing = True
         found = hashed(arrays, checked_name(name))
         states = self.made + 1 if self.begun or reset else 0

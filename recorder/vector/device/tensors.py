@@ -5,19 +5,20 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
-from numbers import Integral
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from gpusimbench.recorder.vector.device.history import INFO, Which
 from gpusimbench.recorder.vector.device.log import About, DeviceLog, HostLog
 from gpusimbench.recorder.vector.device.torch_rows import TorchRows
+from gpusimbench.recorder.vector.ending import Ending
 from gpusimbench.recorder.vector.fields import GIVEN
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.infos import FINAL_INFO
-from gpusimbench.recorder.vector.modes import FINAL, Mode, five, mode_of
+from gpusimbench.recorder.vector.modes import FINAL, Mode, final_name, five, mode_of
+from gpusimbench.recorder.vector.origin import seed_of
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import leaves
 from gpusimbench.schemas.vector import FINAL_GIVEN
@@ -65,7 +66,7 @@ class _Plain:
         self.env = env
 
 
-class RecordedTensors:
+class RecordedTensors(Ending):
     """See gpusimbench.wrap, which makes it. All else than reset, step and close is the environments' own.
 
     What a step returned becomes a row on the device at once; no step waits for the device.
@@ -146,16 +147,8 @@ class RecordedTensors:
         finally:
             self.env.close(**keywords)
 
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        """Close the environment, and end the recording; an error is its reason."""
-        try:
-            self._log.end(error)
-        finally:
-            self.close()
+    def _end(self, error: BaseException | None) -> None:
+        self._log.end(error)
 
     def _reset(self, observation: Any, seed: Any = None, options: Any = None, env_ids: Any = None, **_: Any) -> None:
         seen = _copied(observation, "observation")
@@ -181,7 +174,7 @@ class RecordedTensors:
         assert self._start is not None
         first = {name: torch.zeros_like(tensor) for name, tensor in row.items()} | self._start
         if FINAL_GIVEN in row:
-            first |= {name.replace("observation", FINAL, 1): seen for name, seen in self._start.items()}
+            first |= {final_name(name): seen for name, seen in self._start.items()}
             first[FINAL_GIVEN] = ~first[FINAL_GIVEN]
         self._log.begin(first, HostLog(self._path, steps=self._steps, dt=self._dt, about=self._about()))
 
@@ -201,10 +194,7 @@ class RecordedTensors:
             number = version(_ORIGINS.get(package, "gymnasium"))
         except PackageNotFoundError:
             number = "unknown"
-        integral = isinstance(self._seed, Integral)
-        options = {}
-        if not integral:
-            options["seeds"] = "not given" if self._seed is None else ", ".join(map(str, self._seed))
+        seed, options = seed_of(self._seed)
         if self._told:
             options["infos"] = ", ".join(self._told)
         spec = getattr(self.env, "spec", None)
@@ -216,7 +206,7 @@ class RecordedTensors:
             mode=self._mode,
             hidden=self._hidden,
             options=options,
-            seed=int(self._seed) if integral else 0,
+            seed=seed,
             images=self._images,
         )
 
@@ -227,12 +217,10 @@ def _final(seen: Row, done: Any, info: Mapping[str, Any]) -> Row:
 
     told = info.get("final_obs", info.get(FINAL))
     if told is None:
-        return {**{name.replace("observation", FINAL, 1): array for name, array in seen.items()}, FINAL_GIVEN: ~done}
+        return {**{final_name(name): array for name, array in seen.items()}, FINAL_GIVEN: ~done}
     last = dict(leaves(told, "observation"))
     found = {
-        name.replace("observation", FINAL, 1): torch.where(
-            done.reshape(-1, *(1,) * (array.ndim - 1)), last[name], array
-        )
+        final_name(name): torch.where(done.reshape(-1, *(1,) * (array.ndim - 1)), last[name], array)
         for name, array in seen.items()
     }
     return {**found, FINAL_GIVEN: torch.ones_like(done)}
