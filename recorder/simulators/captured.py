@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import Evidence, joined
 
 RING_BLOCKS = 3
 """Blocks of captured steps that the recorder holds at once: being made, on their way to the host, being written."""
@@ -70,3 +71,20 @@ class Held(Captured):
     def evidence(self) -> Evidence | None:
         """See Captured.evidence."""
         return self._evidence
+
+
+def gathered(begin: Callable[[int], Captured], n_step: int, rows: int) -> tuple[States, Evidence | None]:
+    """Steps in blocks of at most `rows`, one after the other: states [step, env, item, width] and evidence as copies.
+
+    begin  what begins a block of some steps
+    """
+    states: list[States] = []
+    evidence: list[Evidence] = []
+    for first in range(0, n_step, rows):
+        block = begin(min(rows, n_step - first))
+        block.wait()
+        states.append(tuple(array.copy() for array in block.states(slice(None))))
+        if (found := block.evidence()) is not None:
+            evidence.append(found.copy())
+        block.release()
+    return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True))), joined(evidence)

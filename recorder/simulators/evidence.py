@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,3 +24,12 @@ class Evidence:
         """The same in memory of its own: an engine may use what it gave again."""
         counts = {name: np.array(rows) for name, rows in self.counts.items()}
         return Evidence(counts, None if self.overflow is None else np.array(self.overflow))
+
+
+def joined(parts: Sequence[Evidence]) -> Evidence | None:
+    """Of steps that follow each other; None where there is none."""
+    if len(parts) < 2:
+        return parts[0] if parts else None
+    counts = {name: np.concatenate([part.counts[name] for part in parts]) for name in parts[0].counts}
+    overflow = [part.overflow for part in parts if part.overflow is not None]
+    return Evidence(counts, np.concatenate(overflow) if overflow else None)

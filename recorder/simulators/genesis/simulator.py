@@ -20,7 +20,7 @@ from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import Evidence, joined
 from gpusimbench.recorder.simulators.genesis import runtime
 from gpusimbench.recorder.simulators.genesis.deviations import deviations
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
@@ -272,7 +272,7 @@ class Genesis(Simulator):
                 ring.store()
             states.append(ring.states())
             evidence.append(ring.evidence())
-        self._counted = _joined(evidence)
+        self._counted = joined(evidence)
         return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
 
     @classmethod
@@ -327,11 +327,3 @@ class Genesis(Simulator):
 
 def _plain(value: Any) -> Any:
     return getattr(value, "name", value)  # of enumerations the name
-
-
-def _joined(parts: list[Evidence]) -> Evidence:
-    if len(parts) == 1:
-        return parts[0]
-    counts = {name: np.concatenate([part.counts[name] for part in parts]) for name in parts[0].counts}
-    overflow = [part.overflow for part in parts if part.overflow is not None]
-    return Evidence(counts, np.concatenate(overflow))

@@ -21,7 +21,7 @@ from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator
-from gpusimbench.recorder.simulators.captured import Captured, Held, States
+from gpusimbench.recorder.simulators.captured import Captured, Held, States, gathered
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.block import STATES, IsaacLabBlock
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
@@ -277,16 +277,8 @@ class IsaacLab(Simulator):
         """See Simulator.states."""
         self.reserve(n_step)
         assert self._slots is not None
-        states: list[States] = []
-        evidence: list[Evidence | None] = []
-        for first in range(0, n_step, self._slots.rows):
-            block = self.begin_states(min(self._slots.rows, n_step - first))
-            block.wait()
-            states.append(tuple(array.copy() for array in block.states(slice(None))))
-            evidence.append(block.evidence())
-            block.release()
-        self._counted = _joined(evidence)
-        return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
+        states, self._counted = gathered(self.begin_states, n_step, self._slots.rows)
+        return states
 
     def begin_states(self, n_step: int) -> Captured:
         """See Simulator.begin_states."""
@@ -367,14 +359,6 @@ class IsaacLab(Simulator):
             held = vars(self).pop(name, None)
             if name != "_slots" and held is not None:
                 held.close()
-
-
-def _joined(parts: list[Evidence | None]) -> Evidence | None:
-    found = [part for part in parts if part is not None]
-    if not found:
-        return None
-    counts = {name: np.concatenate([part.counts[name] for part in found]) for name in found[0].counts}
-    return Evidence(counts, np.concatenate([part.overflow for part in found if part.overflow is not None]))
 
 
 def _without_pinned_memory() -> None:

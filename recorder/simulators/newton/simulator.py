@@ -23,7 +23,7 @@ from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import Evidence, joined
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions, replacement
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, MUJOCO_SOLVERS, NewtonOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
@@ -360,7 +360,7 @@ class Newton(Simulator):
             self._advance(rows, storing=True)
             states.append(self._world.layout.split(*self._ring.states(rows)))
             evidence.append(self._ring.evidence(rows))
-        self._counted = _joined(evidence)
+        self._counted = joined(evidence)
         return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
 
     def evidence(self) -> Evidence:
@@ -380,11 +380,3 @@ class Newton(Simulator):
         for name in ("_graphs", "_ring", "_last_step", "_watch", "_worlds"):
             vars(self).pop(name, None)
         gc.collect()
-
-
-def _joined(parts: list[Evidence]) -> Evidence:
-    if len(parts) == 1:
-        return parts[0]
-    counts = {name: np.concatenate([part.counts[name] for part in parts]) for name in parts[0].counts}
-    overflow = [part.overflow for part in parts if part.overflow is not None]
-    return Evidence(counts, np.concatenate(overflow))

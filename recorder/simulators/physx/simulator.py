@@ -24,7 +24,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator
-from gpusimbench.recorder.simulators.captured import Captured, Held, States
+from gpusimbench.recorder.simulators.captured import Captured, Held, States, gathered
 from gpusimbench.recorder.simulators.physx import grid
 from gpusimbench.recorder.simulators.physx.block import PhysxBlock
 from gpusimbench.recorder.simulators.physx.deviations import deviations
@@ -248,13 +248,8 @@ class Physx(Simulator):
         """See Simulator.states."""
         self.reserve(n_step)
         assert self._slots is not None
-        parts: list[States] = []
-        for first in range(0, n_step, self._slots.rows):
-            block = self.begin_states(min(self._slots.rows, n_step - first))
-            block.wait()
-            parts.append(tuple(array.copy() for array in block.states(slice(None))))
-            block.release()
-        return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
+        states, _ = gathered(self.begin_states, n_step, self._slots.rows)
+        return states
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.abilities import BODIES, ROBOTS, VARIED, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.captured import gathered
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.flight import Flight, Watch
@@ -336,11 +337,7 @@ class MujocoWarp(Simulator):
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
-        block = self.begin_states(n_step)
-        block.wait()
-        states = tuple(array.copy() for array in block.states(slice(None)))
-        self._counted = block.evidence().copy()
-        block.release()
+        states, self._counted = gathered(self.begin_states, n_step, n_step)
         return states
 
     def evidence(self) -> Evidence:
