@@ -2,9 +2,10 @@
 
 usage: python docs/make_models.py
 
-Each folder holds runs of one model file under the same controls, one run an engine, device and friction cone. A cell is
-the largest distance of a body with a free joint from where MuJoCo C has it with the same cone, over environments; of a
-model without such bodies, the largest difference of a joint coordinate [rad, and m for slides].
+Each folder holds runs of one model file under the same controls, one run an engine, device, friction cone and precision
+of matrix products. A cell is the largest distance of a body with a free joint from where MuJoCo C has it with the same
+cone, over environments; of a model without such bodies, the largest difference of a joint coordinate [rad, and m for
+slides].
 """
 
 from __future__ import annotations
@@ -47,12 +48,21 @@ def page(folder: str) -> Path:
 def runs(folder: str) -> list[Recording]:
     """The recordings of a folder in the order of rows, MuJoCo C first, those with a cone of their own last."""
     opened = [open_recording(path) for path in sorted(page(folder).parent.glob("*.mcap"))]
-    return sorted(opened, key=lambda run: (cone(run), list(NAMES).index(run.configuration.simulator), device(run)))
+    order = list(NAMES)
+    return sorted(
+        opened, key=lambda run: (cone(run), order.index(run.configuration.simulator), device(run), precision(run))
+    )
 
 
 def cone(run: Recording) -> str:
     """The friction cone that was asked for instead of the model's own; empty where none was."""
     return str(run.configuration.options.get("cone", ""))
+
+
+def precision(run: Recording) -> str:
+    """The precision of JAX's matrix products that was asked for instead of the default; empty where none was."""
+    switch = run.simulation.switches.get("matmul_precision", "default") if run.simulation else "default"
+    return "" if switch == "default" else f"matmul_precision={switch}"
 
 
 def device(run: Recording) -> str:
@@ -105,7 +115,7 @@ def table(folder: str) -> str:
         rows = [round(time / asked.dt / asked.stride) for time in times]
         assert np.allclose(np.array(rows) * asked.dt * asked.stride, times)
         cells = [length(largest[row]) if bodies else f"{largest[row]:.2g}" for row in rows]
-        name = NAMES[asked.simulator] + (f", {cone(run)} cones" if cone(run) else "")
+        name = ", ".join(filter(None, (NAMES[asked.simulator], cone(run) and f"{cone(run)} cones", precision(run))))
         lines.append(_row([name, device(run), *cells]))
     return "\n".join(line.rstrip() for line in lines)
 
