@@ -16,24 +16,24 @@ from gpusimbench.recorder.simulators.captured import RING_BLOCKS, Captured
 
 
 class Slot:
-    """Arrays [row, ...] by name, on the device and on the host."""
+    """Arrays [row, ...] by name, on the device and on the host.
 
-    def __init__(self, device: Any, copying: Any, shapes: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
-        """shapes   shape and Warp's dtype by name; the first dimension is the row
+    first  number of its first row among those of all slots
+    """
+
+    def __init__(
+        self, device: Any, copying: Any, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]
+    ) -> None:
+        """arrays   on the device, and
+        host     on the host: the same ones on the CPU
         copying  the stream that copies; None on the CPU
         """
-        import warp as wp
-
-        self.arrays = {name: wp.empty(shape, dtype=dtype, device=device) for name, (shape, dtype) in shapes.items()}
+        self.first = first
+        self.arrays = arrays
         self._device = device
         self._copying = copying
         self._copied: Any = None
-        if copying is None:
-            self._host = self.arrays
-        else:
-            self._host = {
-                name: wp.empty(shape, dtype=dtype, device="cpu", pinned=True) for name, (shape, dtype) in shapes.items()
-            }
+        self._host = host
 
     def begin_copy(self, rows: int) -> None:
         """Enqueue the copy of the first rows behind what the device has been given to do."""
@@ -60,15 +60,33 @@ class Slot:
 
 
 class Slots:
-    """A few slots alike. The thread that steps takes one; any thread gives it back."""
+    """A few slots alike. The thread that steps takes one; any thread gives it back.
+
+    rows    of a slot
+    arrays  on the device, by name: the rows of all slots one after the other, so that one CUDA graph can fill any slot
+    """
 
     def __init__(self, device: Any, shapes: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
-        """shapes  as of Slot"""
+        """shapes  of a slot's arrays, and Warp's dtype, by name; the first dimension is the row"""
         import warp as wp
 
-        self.rows = next(iter(shapes.values()))[0][0]
+        rows = self.rows = next(iter(shapes.values()))[0][0]
+
+        def allocated(**where: Any) -> dict[str, Any]:
+            return {
+                name: wp.empty((RING_BLOCKS * rows, *shape[1:]), dtype=dtype, **where)
+                for name, (shape, dtype) in shapes.items()
+            }
+
+        self.arrays = allocated(device=device)
         copying = wp.Stream(device) if device.is_cuda else None
-        self.all = tuple(Slot(device, copying, shapes) for _ in range(RING_BLOCKS))
+        host = self.arrays if copying is None else allocated(device="cpu", pinned=True)
+
+        def of_rows(first: int) -> Slot:
+            parts = ({name: a[first : first + rows] for name, a in arrays.items()} for arrays in (self.arrays, host))
+            return Slot(device, copying, first, *parts)
+
+        self.all = tuple(of_rows(number * rows) for number in range(RING_BLOCKS))
         self._free: SimpleQueue[Slot] = SimpleQueue()
         for slot in self.all:
             self._free.put(slot)
