@@ -103,7 +103,7 @@ VARIANTS = (
         ahead=True,
     ),
     Variant("newton", ("solver=steel",), ahead=True),
-    Variant("genesis"),
+    Variant("genesis", ahead=True),
     Variant("physx", skipped={**_NO_COUNTS, **_NO_BUFFERS, **_PARTIAL_STATE}, ahead=True),
     Variant("physx", ("spacing=1000",), skipped={**_NO_COUNTS, **_NO_BUFFERS, **_PARTIAL_STATE}, ahead=True),
     Variant("isaaclab", ("backend=ovphysx",), skipped={**_NO_COUNTS, **_NO_BUFFERS, **_PARTIAL_STATE}, ahead=True),

@@ -8,7 +8,7 @@ from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.newton.layout import Layout
 from gpusimbench.recorder.simulators.newton.ring import STATES, evidence_of
-from gpusimbench.recorder.simulators.warp.transfer import Slot, SlotBlock, Slots
+from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots
 from gpusimbench.schemas.provenance import Counter
 
 

@@ -17,16 +17,13 @@ STATES = ("positions", "velocities")
 """Names of the rows of the layout's two arrays. Counts have the names of their counters."""
 _BITS = "overflow_bits"
 
-Shapes = dict[str, tuple[tuple[int, ...], Any]]
-"""Shape [row, ...] and Warp's dtype by name."""
 
-
-def state_shapes(worlds: Worlds, rows: int) -> Shapes:
+def state_shapes(worlds: Worlds, rows: int) -> dict[str, tuple[tuple[int, ...], Any]]:
     """Of the states of all worlds."""
     return {name: ((rows, a.size), a.dtype) for name, a in zip(STATES, worlds.shown(), strict=True)}
 
 
-def evidence_shapes(watch: Watch, n_env: int, rows: int) -> Shapes:
+def evidence_shapes(watch: Watch, n_env: int, rows: int) -> dict[str, tuple[tuple[int, ...], Any]]:
     """Of the counts and overflow bits of all worlds."""
     import warp as wp
 

@@ -31,7 +31,7 @@ from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, MUJOCO_SO
 from gpusimbench.recorder.simulators.newton.steps import BLOCK, Steps
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
-from gpusimbench.recorder.simulators.warp.transfer import Slots
+from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
@@ -116,7 +116,7 @@ class Newton(Simulator):
         self._watch = Watch(self._worlds, options, self._sizes)
         self._last_counts = _allocated(evidence_shapes(self._watch, self.n_env, 1))  # for what is asked after `step`
         self._last_step = Ring(self._worlds, self._watch, self._last_counts)
-        self._slots: Slots | None = None
+        self._slots: WarpSlots | None = None
         self._ring: Any = None
         self._timed: Steps | None = None
         self._storing: Steps | None = None  # those that fill rows of slots
@@ -218,7 +218,7 @@ class Newton(Simulator):
         rows = max(1, min(n_step, _SLOT_ROWS, _SLOT_BYTES // row_bytes(worlds, watch)))
         if self._slots is None or self._slots.rows < rows:
             shapes = state_shapes(worlds, rows) | evidence_shapes(watch, self.n_env, rows)
-            self._slots = Slots(self._device, shapes)
+            self._slots = WarpSlots(self._device, shapes)
             self._ring = Ring(worlds, watch, self._slots.arrays)
             self._storing = self._steps(self._ring)
 
