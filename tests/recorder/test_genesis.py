@@ -121,6 +121,7 @@ def test_what_is_dropped_shows(build: Build, too_small: dict[str, str], bit: str
     assert "of 2 of 2 envs" in sentence
     assert words in sentence
     simulator.step(12)
+    simulator.state()  # which tells nothing of the steps
     overflow = simulator.evidence().overflow
     assert overflow is not None
     assert overflow.shape == (1, 2)

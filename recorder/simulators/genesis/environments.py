@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,10 +40,7 @@ class Environments(ABC):
 
     scene   genesis.Scene
     solver  its rigid solver
-    width   numbers of a state of one environment
     """
-
-    width: int
 
     def __init__(self, scene: Any) -> None:
         self.scene = scene
@@ -54,12 +51,17 @@ class Environments(ABC):
         """Layout of the arrays of `split`."""
 
     @abstractmethod
-    def store(self, row: Any) -> None:
-        """Copy the present state into a tensor [env, width] on the device."""
+    def parts(self) -> Mapping[str, tuple[int, ...]]:
+        """What a state consists of on the device: shapes [env, ...] by name."""
 
     @abstractmethod
-    def split(self, rows: NDArray[np.floating]) -> States:
-        """Stored states [row, env, width] as an array [row, env, item, width] for each field."""
+    def store(self, parts: Mapping[str, Any]) -> None:
+        """Enqueue: copy the present state into tensors on the device; nothing waits for it."""
+
+    @abstractmethod
+    def split(self, parts: Mapping[str, NDArray[np.floating]]) -> States:
+        """Stored parts [row, env, ...] of a range of environments as an array [row, env, item, width] for each field,
+        which may share their memory."""
 
     @abstractmethod
     def place(self, envs: Envs = None) -> None:
@@ -85,6 +87,17 @@ class Environments(ABC):
         """Bring environments to the scene's first state."""
         self.scene.reset(envs_idx=envs)
         self.place(envs)
+
+
+def index_of(numbers: NDArray[np.int64]) -> Any:
+    """These numbers as an index of tensors on the device: a slice where they follow each other."""
+    import genesis
+    import torch
+
+    first = int(numbers[0])
+    if np.array_equal(numbers, np.arange(first, first + len(numbers))):
+        return slice(first, first + len(numbers))
+    return torch.as_tensor(numbers, device=genesis.device)
 
 
 def on_device(values: NDArray[np.floating]) -> Any:

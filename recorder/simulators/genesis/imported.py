@@ -7,7 +7,7 @@ written as XML, a model would lose digits, and a file would get other defaults o
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -70,8 +70,6 @@ class ModelEnvironments(Environments):
         """Environments that were built, in the scene's first state; made is a genesis.Scene."""
         super().__init__(made)
         self.compiled, self.match, self._controls = compiled, match, controls
-        self._n_q = int(compiled.model.nq)
-        self.width = self._n_q + int(compiled.model.nv)
         controls.prepare(self.solver)
         self.place()
 
@@ -79,15 +77,20 @@ class ModelEnvironments(Environments):
         """See Environments.fields: MuJoCo's, whose coordinates Genesis has."""
         return tuple(replace(f, note=f.note.replace("MuJoCo", "Genesis")) for f in self.compiled.fields(dtype))
 
-    def store(self, row: Any) -> None:
-        """See Environments.store."""
-        row[:, : self._n_q] = self.solver.get_qpos()
-        row[:, self._n_q :] = self.solver.get_dofs_velocity()
+    def parts(self) -> Mapping[str, tuple[int, ...]]:
+        """See Environments.parts."""
+        n_env, model = int(self.scene.n_envs), self.compiled.model
+        return {"qpos": (n_env, int(model.nq)), "qvel": (n_env, int(model.nv))}
 
-    def split(self, rows: NDArray[np.floating]) -> States:
+    def store(self, parts: Mapping[str, Any]) -> None:
+        """See Environments.store."""
+        parts["qpos"].copy_(self.solver.get_qpos())
+        parts["qvel"].copy_(self.solver.get_dofs_velocity())
+
+    def split(self, parts: Mapping[str, NDArray[np.floating]]) -> States:
         """See Environments.split."""
-        split = self.compiled.split(rows[..., : self._n_q], rows[..., self._n_q :])
-        return tuple(np.array(array) for array in split)
+        states: States = self.compiled.split(parts["qpos"], parts["qvel"])
+        return states
 
     def place(self, envs: Envs = None) -> None:
         """See Environments.place: the keyframe, and controls of zero."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.scenes.base import Body, Box, Plane, Scene, Sphere
 from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
 from gpusimbench.recorder.simulators.captured import States
-from gpusimbench.recorder.simulators.genesis.environments import Drive, Environments, empty_scene, on_device
+from gpusimbench.recorder.simulators.genesis.environments import Drive, Environments, empty_scene, index_of, on_device
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.genesis.sizes import Sizes
 from gpusimbench.recorder.simulators.mujoco.layout import rotate_to_body
@@ -23,7 +23,6 @@ from gpusimbench.schemas.fields import StateField, body_fields, joint_field
 
 _LINK = 13  # position 3, orientation wxyz 4, linear velocity 3, angular velocity 3
 _COLUMNS = (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13))
-_HINGE = 2  # angle, speed
 
 
 class SceneEnvironments(Environments):
@@ -46,8 +45,10 @@ class SceneEnvironments(Environments):
         self._angles = [joint.q_start for joint in joints]
         places = {body.name: index for index, (body, _) in enumerate(self._moving)}
         self._groups = [[places[name] for name in names] for names in scene.groups().values()]
-        self._n_link = int(self.solver.n_links) if self._moving else 0
-        self.width = self._n_link * _LINK + len(self._joints) * _HINGE
+        self._gathered = [index_of(self._links[group]) for group in self._groups]
+        self._dofs = index_of(self._joints) if joints else None
+        n_env = int(made.n_envs)
+        self._parts = {field.name: (n_env, len(field.items), field.width) for field in self.fields("float32")}
         self.place()
 
     def fields(self, dtype: str) -> tuple[StateField, ...]:
@@ -58,32 +59,25 @@ class SceneEnvironments(Environments):
         joints = tuple(joint.name for joint in self._described.robot.joints())
         return (*bodies, joint_field("robot", "qpos", dtype, joints), joint_field("robot", "qvel", dtype, joints))
 
-    def store(self, row: Any) -> None:
-        """See Environments.store: of every link, then of every joint."""
-        solver, n_env = self.solver, len(row)
-        links = row[:, : self._n_link * _LINK].view(n_env, self._n_link, _LINK)
-        if self._n_link:
-            links[..., 0:3] = solver.get_links_pos()
-            links[..., 3:7] = solver.get_links_quat()
-            links[..., 7:10] = solver.get_links_vel()
-            links[..., 10:13] = solver.get_links_ang()
-        if len(self._joints):
-            joints = row[:, self._n_link * _LINK :].view(n_env, len(self._joints), _HINGE)
-            joints[..., 0] = solver.get_dofs_position(self._joints)
-            joints[..., 1] = solver.get_dofs_velocity(self._joints)
+    def parts(self) -> Mapping[str, tuple[int, ...]]:
+        """See Environments.parts: the fields, in their order."""
+        return self._parts
 
-    def split(self, rows: NDArray[np.floating]) -> States:
+    def store(self, parts: Mapping[str, Any]) -> None:
+        """See Environments.store."""
+        solver, left = self.solver, iter(parts.values())
+        if self._gathered:
+            links = (solver.get_links_pos(), solver.get_links_quat(), solver.get_links_vel(), solver.get_links_ang())
+            for group in self._gathered:
+                for values in links:
+                    next(left).copy_(values[:, group])
+        if self._dofs is not None:
+            for values in (solver.get_dofs_position(), solver.get_dofs_velocity()):
+                next(left)[..., 0] = values[:, self._dofs]
+
+    def split(self, parts: Mapping[str, NDArray[np.floating]]) -> States:
         """See Environments.split."""
-        shape = rows.shape[:2]
-        links = rows[..., : self._n_link * _LINK].reshape(*shape, self._n_link, _LINK)[:, :, self._links]
-        arrays: list[NDArray[np.floating]] = []
-        for group in self._groups:
-            of_group = links[:, :, group]
-            arrays += [of_group[..., columns] for columns in _COLUMNS]
-        if self._described.robot is not None:
-            joints = rows[..., self._n_link * _LINK :].reshape(*shape, len(self._joints), _HINGE)
-            arrays += [joints[..., 0:1], joints[..., 1:2]]
-        return tuple(arrays)
+        return tuple(parts.values())
 
     def place(self, envs: Envs = None) -> None:
         """See Environments.place: the speeds of bodies and the angles of the robot, which entities are not described

@@ -1,7 +1,9 @@
-"""States and counts of consecutive steps, kept on the device until they are read together."""
+"""States and counts of steps, kept on the device in rows of tensors."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,57 +13,73 @@ from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.genesis.environments import Environments
 from gpusimbench.recorder.simulators.genesis.watch import COUNTERS, Watch
+from gpusimbench.recorder.simulators.slots import Shapes, Slot, SlotBlock, Slots
+
+_ERRORS = "error_codes"
+"""Counts have the names of their counters, states those that environments give them."""
 
 
-class Ring:
-    """Rows that are stored in order from 0 and read once.
+class Rows:
+    """What a row holds, and how it is filled and read."""
 
-    rows  for which there is room
-    """
+    def __init__(self, model: Environments, watch: Watch) -> None:
+        self._model = model
+        self._watch = watch
 
-    def __init__(self, model: Environments, watch: Watch, rows: int) -> None:
+    def shapes(self, rows: int) -> Shapes:
+        """Of tensors with so many rows."""
+        import genesis
+
+        model = self._model
+        n_env = int(model.scene.n_envs)
+        counts = dict.fromkeys((*(counter.name for counter in COUNTERS), _ERRORS), ((rows, n_env), genesis.tc_int))
+        states = {name: ((rows, *shape), genesis.tc_float) for name, shape in model.parts().items()}
+        return states | counts
+
+    def row_bytes(self) -> int:
+        """Of a row on the device."""
+        return sum(math.prod(shape) * dtype.itemsize for shape, dtype in self.shapes(1).values())
+
+    def tensors(self, rows: int) -> dict[str, Any]:
+        """So many rows on the device."""
         import genesis
         import torch
 
-        n_env = model.scene.n_envs
-        self.rows = rows
-        self._model = model
-        self._watch = watch
-        self._next = 0
-        self._states = torch.empty((rows, n_env, model.width), dtype=genesis.tc_float, device=genesis.device)
-        self._counts = torch.empty((rows, len(COUNTERS), n_env), dtype=genesis.tc_int, device=genesis.device)
-        self._errors = torch.empty((rows, n_env), dtype=genesis.tc_int, device=genesis.device)
+        return {
+            name: torch.empty(shape, dtype=dtype, device=genesis.device)
+            for name, (shape, dtype) in self.shapes(rows).items()
+        }
 
-    @staticmethod
-    def row_bytes(model: Environments) -> int:
-        """Of one row on the device, at most."""
-        return 8 * (model.width + len(COUNTERS) + 1) * int(model.scene.n_envs)
+    def store_state(self, tensors: Mapping[str, Any], row: int) -> None:
+        """Enqueue: copy the present state."""
+        self._model.store({name: tensors[name][row] for name in self._model.parts()})
 
-    def rewind(self) -> None:
-        """Begin again with row 0."""
-        self._next = 0
+    def store_evidence(self, tensors: Mapping[str, Any], row: int) -> None:
+        """Enqueue: copy the counts of the last step, and the codes since they were last copied."""
+        for counter, counted in zip(COUNTERS, self._watch.counts(), strict=True):
+            tensors[counter.name][row] = counted
+        self._watch.tell(tensors[_ERRORS][row])
 
-    def store(self) -> None:
-        """Copy the present state and the counts of the last step into the next row."""
-        row = self._next
-        self._model.store(self._states[row])
-        for place, counted in enumerate(self._watch.counts()):
-            self._counts[row, place] = counted
-        self._errors[row] = self._watch.tell()
-        self._next += 1
+    def split(self, rows: Callable[[str], NDArray[Any]], envs: slice) -> States:
+        """States [row, env of the range, item, width] from rows by name: views where the order is the same."""
+        return self._model.split({name: rows(name)[:, envs] for name in self._model.parts()})
 
-    def states(self) -> States:
-        """An array [row, env, item, width] for each field."""
-        return self._model.split(self._read(self._states))
+    def evidence(self, rows: Callable[[str], NDArray[Any]]) -> Evidence:
+        """Counts and bits [row, env] from rows by name; the counts are these arrays, not copies."""
+        return Evidence({counter.name: rows(counter.name) for counter in COUNTERS}, rows(_ERRORS).astype(np.uint32))
+
+
+class GenesisBlock(SlotBlock):
+    """Steps of Genesis on their way to a recording."""
+
+    def __init__(self, slots: Slots, slot: Slot, rows: int, kept: Rows) -> None:
+        super().__init__(slots, slot, rows)
+        self._kept = kept
+
+    def states(self, envs: slice) -> States:
+        """See Captured.states."""
+        return self._kept.split(self.host, envs)
 
     def evidence(self) -> Evidence:
-        """Of all rows."""
-        counts = self._read(self._counts)
-        return Evidence(
-            {counter.name: counts[:, place] for place, counter in enumerate(COUNTERS)},
-            self._read(self._errors).astype(np.uint32),
-        )
-
-    def _read(self, tensor: Any) -> NDArray[Any]:
-        # a copy, also where the device is the host
-        return np.array(tensor[: self._next].cpu().numpy())
+        """See Captured.evidence."""
+        return self._kept.evidence(self.host)

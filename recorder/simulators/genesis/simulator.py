@@ -1,8 +1,8 @@
 """Genesis: its rigid solver, in kernels that Quadrants compiles, on a GPU or, on one thread, on the CPU.
 
 Environments are the batch of one genesis.Scene, all at the same place. A process has one Genesis at a time: build
-initialises it, close destroys it. For a capture, states and counts of each step are copied into a ring of tensors on
-the device, which is read once it is full.
+initialises it, close destroys it. For a capture, states and counts of each step are copied into rows of tensors on the
+device. The rows are those of a few slots; while one slot is filled, the one before it is copied to the host.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.evidence import Evidence, joined
+from gpusimbench.recorder.simulators.captured import Captured, Held, gathered
+from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.genesis import runtime
 from gpusimbench.recorder.simulators.genesis.deviations import deviations
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
+from gpusimbench.recorder.simulators.genesis.transfer import TorchSlots
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
@@ -31,8 +33,8 @@ from gpusimbench.schemas.provenance import Deviation
 if TYPE_CHECKING:
     from gpusimbench.recorder.simulators.genesis.sizes import Sizes
 
-_RING_ROWS = 50
-_RING_BYTES = 512 << 20
+_SLOT_ROWS = 50
+_SLOT_BYTES = 256 << 20  # the recorder asks for blocks of at most 128 MiB of states; counts come on top
 
 _NEAREST = {"integrator": {"RK4": "Euler", "implicit": "implicitfast"}, "solver": {"PGS": "Newton"}}
 """Words of a model for options that Genesis has no such word for, and what is used instead."""
@@ -54,6 +56,7 @@ class Genesis(Simulator):
     Options = GenesisOptions
     abilities = BODIES - {Ability.CAPSULES} | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS}
     timing_interval = 10  # Genesis itself waits for the device at every tenth substep, to look at its error codes
+    blocks_ahead = 2
     levels_without_effect = {
         "cpu": dict.fromkeys(("off", "run-to-run"), "on a CPU there is one implementation, and nothing to choose")
     }
@@ -87,7 +90,7 @@ class Genesis(Simulator):
         compiled = self._compiled(options)
         genesis = self._genesis = runtime.start(options, deterministic=_LEVELS[self.determinism], seed=self.seed)
         from gpusimbench.recorder.simulators.genesis.keep import Keep
-        from gpusimbench.recorder.simulators.genesis.ring import Ring
+        from gpusimbench.recorder.simulators.genesis.ring import Rows
         from gpusimbench.recorder.simulators.genesis.watch import COUNTERS, Watch, buffers
 
         with self._refusals():
@@ -97,8 +100,9 @@ class Genesis(Simulator):
         self._keep = Keep(self._model.solver)
         self._done = 0  # steps since the build, or since all were brought back
         self._given = False  # whether states were given that a reset does not bring back
-        self._last = Ring(self._model, self._watch, 1)
-        self._ring: Ring | None = None
+        self._rows = Rows(self._model, self._watch)
+        self._last = self._rows.tensors(1)
+        self._slots: TorchSlots | None = None
         self._counted: Evidence | None = None
         self._drives: Sequence[Any] = ()
         self._next_drive = 0
@@ -197,20 +201,18 @@ class Genesis(Simulator):
         before = self._keep.kept() if self._given else None  # large: not where a reset does
         self._model.scene.step(update_visualizer=False)
         if phase == "capture":
-            self._make_ring().store()
+            self._rows.store_state(self._last, 0)
+            self._rows.store_evidence(self._last, 0)
         self._model.reset()
         if before is not None:
             self._keep.put(before, None)
         runtime.synchronise(self._genesis)
 
-    def _make_ring(self) -> Any:
-        from gpusimbench.recorder.simulators.genesis.ring import Ring
-
-        if self._ring is None:
-            rows = max(1, min(_RING_ROWS, _RING_BYTES // Ring.row_bytes(self._model)))
-            self._ring = Ring(self._model, self._watch, rows)
-        self._ring.rewind()
-        return self._ring
+    def reserve(self, n_step: int) -> None:
+        """See Simulator.reserve; longer blocks are made in parts."""
+        rows = max(1, min(n_step, _SLOT_ROWS, _SLOT_BYTES // self._rows.row_bytes()))
+        if self._slots is None or self._slots.rows < rows:
+            self._slots = TorchSlots(self._genesis.device, self._rows.shapes(rows))
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
         """See Simulator.prepare."""
@@ -237,13 +239,13 @@ class Genesis(Simulator):
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
-        self._counted = None
         for _ in range(n_step):
             self._advance()
         runtime.synchronise(self._genesis)
 
     def _advance(self) -> None:
         self._done += 1
+        self._counted = None
         for drive in self._drives:
             drive.give(self._next_drive)
         self._next_drive += 1
@@ -257,23 +259,35 @@ class Genesis(Simulator):
 
     def state(self) -> States:
         """See Simulator.state."""
-        self._last.rewind()
-        self._last.store()
-        return tuple(array[0] for array in self._last.states())
+        self._rows.store_state(self._last, 0)
+        return tuple(array[0] for array in self._rows.split(self._last_on_host, slice(None)))
+
+    def _last_on_host(self, name: str) -> NDArray[Any]:
+        # a copy, also where the device is the host
+        return np.array(self._last[name].cpu().numpy())
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
-        states, evidence = [], []
-        ring = self._make_ring()
-        for first in range(0, n_step, ring.rows):
-            ring.rewind()
-            for _ in range(min(ring.rows, n_step - first)):
-                self._advance()
-                ring.store()
-            states.append(ring.states())
-            evidence.append(ring.evidence())
-        self._counted = joined(evidence)
-        return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
+        self.reserve(n_step)
+        assert self._slots is not None
+        states, self._counted = gathered(self.begin_states, n_step, self._slots.rows)
+        return states
+
+    def begin_states(self, n_step: int) -> Captured:
+        """See Simulator.begin_states: Genesis looks at its error codes at every tenth substep, and waits then."""
+        from gpusimbench.recorder.simulators.genesis.ring import GenesisBlock
+
+        self.reserve(n_step)
+        assert self._slots is not None
+        if n_step > self._slots.rows:
+            return Held(self.states(n_step), self.evidence())
+        slot = self._slots.take()
+        for row in range(n_step):
+            self._advance()
+            self._rows.store_state(slot.arrays, row)
+            self._rows.store_evidence(slot.arrays, row)
+        slot.begin_copy(n_step)
+        return GenesisBlock(self._slots, slot, n_step, self._rows)
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:
@@ -308,9 +322,8 @@ class Genesis(Simulator):
     def evidence(self) -> Evidence:
         """See Simulator.evidence."""
         if self._counted is None:
-            self._last.rewind()
-            self._last.store()
-            return self._last.evidence()
+            self._rows.store_evidence(self._last, 0)
+            return self._rows.evidence(self._last_on_host)
         return self._counted
 
     def gates(self) -> list[str]:
@@ -320,7 +333,7 @@ class Genesis(Simulator):
     def close(self) -> None:
         """See Simulator.close."""
         # tensors that share the engine's memory go before it does
-        for name in ("_drives", "_ring", "_last", "_keep", "_watch", "_model", "_counted"):
+        for name in ("_drives", "_slots", "_rows", "_last", "_keep", "_watch", "_model", "_counted"):
             vars(self).pop(name, None)
         runtime.stop()
 

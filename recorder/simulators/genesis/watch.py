@@ -41,12 +41,11 @@ class Watch:
             for code, name in self._codes.items()
         )
 
-    def tell(self) -> Any:
-        """Codes since the last call: an integer tensor [env] on the device. Nothing waits for the device."""
+    def tell(self, codes: Any) -> None:
+        """Enqueue: copy the codes since the last call into an integer tensor [env] on the device."""
         self._keep()
-        told = self._kept.clone()
+        codes.copy_(self._kept)
         self._kept.zero_()
-        return told
 
     def counts(self) -> tuple[Any, ...]:
         """Counts of the last step in the order of COUNTERS: integer tensors [env] on the device."""

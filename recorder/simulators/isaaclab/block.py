@@ -5,7 +5,7 @@ from __future__ import annotations
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.world import World
-from gpusimbench.recorder.simulators.warp.transfer import Slot, SlotBlock, Slots
+from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots
 
 STATES = ("positions", "velocities")
 """The arrays of a slot, in the order of World.state."""

@@ -28,7 +28,7 @@ from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
-from gpusimbench.recorder.simulators.warp.transfer import Slots
+from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
@@ -105,7 +105,7 @@ class IsaacLab(Simulator):
         _without_pinned_memory()
         self._stepped = True  # what the last step showed has still to be asked for
         self._counted: Evidence | None = None
-        self._slots: Slots | None = None
+        self._slots: WarpSlots | None = None
         self._compiled = False
         self._model: Any = None  # of a model file
         if isinstance(self.scene, ModelScene):
@@ -232,7 +232,7 @@ class IsaacLab(Simulator):
         rows = min(n_step, self._rows())
         if self._slots is None or self._slots.rows < rows:
             shapes = zip(STATES, (array.shape for array in self._world.state()), strict=True)
-            self._slots = Slots(self._device, {name: ((rows, *shape), wp.float32) for name, shape in shapes})
+            self._slots = WarpSlots(self._device, {name: ((rows, *shape), wp.float32) for name, shape in shapes})
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
         """See Simulator.prepare."""

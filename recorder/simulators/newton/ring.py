@@ -1,6 +1,9 @@
-"""Rows of states and counts on the device, to be read at once."""
+"""Rows of states and counts on the device, filled one after the other."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,33 +11,52 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.newton.watch import Watch
 from gpusimbench.recorder.simulators.newton.worlds import Worlds
+from gpusimbench.schemas.provenance import Counter
+
+STATES = ("positions", "velocities")
+"""Names of the rows of the layout's two arrays. Counts have the names of their counters."""
+_BITS = "overflow_bits"
+
+
+def state_shapes(worlds: Worlds, rows: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+    """Of the states of all worlds."""
+    return {name: ((rows, a.size), a.dtype) for name, a in zip(STATES, worlds.shown(), strict=True)}
+
+
+def evidence_shapes(watch: Watch, n_env: int, rows: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+    """Of the counts and overflow bits of all worlds."""
+    import warp as wp
+
+    return dict.fromkeys((*(counter.name for counter in watch.counters), _BITS), ((rows, n_env), wp.int32))
+
+
+def row_bytes(worlds: Worlds, watch: Watch) -> int:
+    """Of a row of both, on the device."""
+    states = sum(array.capacity for array in worlds.shown())
+    return int(states + 4 * worlds.n_env * (1 + len(watch.counters)))
+
+
+def evidence_of(counters: Sequence[Counter], rows: Callable[[str], NDArray[np.int32]]) -> Evidence:
+    """rows  by name, [row, world]; the counts are these arrays, not copies"""
+    return Evidence({counter.name: rows(counter.name) for counter in counters}, rows(_BITS).astype(np.uint32))
 
 
 class Ring:
-    """Some rows; a row is what a step left."""
+    """Kernels that fill rows; a row is what a step left. Which row comes next stands on the device."""
 
-    def __init__(self, worlds: Worlds, watch: Watch, rows: int) -> None:
-        """Allocate `rows` rows."""
+    def __init__(self, worlds: Worlds, watch: Watch, arrays: Mapping[str, Any]) -> None:
+        """arrays  on the device, of evidence_shapes and, for `store`, of state_shapes"""
         import warp as wp
 
         self._worlds = worlds
         self._watch = watch
-        self.rows = rows
-        n_env = worlds.n_env
         self._row = wp.zeros(1, dtype=wp.int32)
-        self._states = tuple(wp.empty((rows, array.size), dtype=array.dtype) for array in worlds.shown())
-        self._bits = wp.empty((rows, n_env), dtype=wp.int32)
-        self._counts = tuple(wp.empty((rows, n_env), dtype=wp.int32) for _ in watch.counters)
+        self._arrays = arrays
+        self._counts = tuple(arrays[counter.name] for counter in watch.counters)
 
-    @staticmethod
-    def row_bytes(worlds: Worlds, watch: Watch) -> int:
-        """Of a row, on the device."""
-        states = sum(array.capacity for array in worlds.shown())
-        return int(states + 4 * worlds.n_env * (1 + len(watch.counters)))
-
-    def rewind(self) -> None:
-        """Begin with the first row."""
-        self._row.zero_()
+    def go_to(self, row: int) -> None:
+        """Enqueue: go on with that row."""
+        self._row.fill_(row)
 
     def store(self) -> None:
         """Enqueue: store the present state and the counts of the last step, and go on to the next row."""
@@ -42,23 +64,17 @@ class Ring:
 
         from gpusimbench.recorder.simulators.newton import kernels
 
-        n_env = self._worlds.n_env
-        for array, stored in zip(self._worlds.shown(), self._states, strict=True):
-            wp.launch(kernels.store, dim=array.size, inputs=[self._row, array, stored])
-        self._watch.count(self._row, self._counts)
-        wp.launch(kernels.store_bits, dim=n_env, inputs=[self._row, self._watch.bits, self._bits])
+        for name, array in zip(STATES, self._worlds.shown(), strict=True):
+            wp.launch(kernels.store, dim=array.size, inputs=[self._row, array, self._arrays[name]])
+        self.store_evidence()
         wp.launch(kernels.next_row, dim=1, inputs=[self._row])
 
-    def states(self, rows: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The first rows of both arrays of the layout, [row, env, number]. On the CPU they are the ring itself, not a
-        copy."""
-        positions, velocities = (a[:rows].numpy().reshape(rows, self._worlds.n_env, -1) for a in self._states)
-        return positions, velocities
+    def store_evidence(self) -> None:
+        """Enqueue: store the counts of the last step, and the bits since they were last stored."""
+        import warp as wp
 
-    def evidence(self, rows: int) -> Evidence:
-        """The counts and overflow bits of the first rows."""
-        counts = {
-            counter.name: array[:rows].numpy().copy()
-            for counter, array in zip(self._watch.counters, self._counts, strict=True)
-        }
-        return Evidence(counts, self._bits[:rows].numpy().astype(np.uint32))
+        from gpusimbench.recorder.simulators.newton import kernels
+
+        self._watch.count(self._row, self._counts)
+        inputs = [self._row, self._watch.bits, self._arrays[_BITS]]
+        wp.launch(kernels.store_bits, dim=self._worlds.n_env, inputs=inputs)

@@ -2,7 +2,8 @@
 
 On a GPU, blocks of steps and single steps are captured as CUDA graphs and replayed. A step reads one of two states and
 writes the other, so a graph belongs to the state that it begins with. For a capture, further graphs store the state and
-the counts of each step in a ring on the device, which is read once it is full.
+the counts of each step in rows on the device. The rows are those of a few slots; while one slot is filled, the one
+before it is copied to the host.
 """
 
 from __future__ import annotations
@@ -23,18 +24,20 @@ from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.evidence import Evidence, joined
+from gpusimbench.recorder.simulators.captured import Captured, Held, gathered
+from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions, replacement
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, MUJOCO_SOLVERS, NewtonOptions
+from gpusimbench.recorder.simulators.newton.steps import BLOCK, Steps
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
+from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 
-_BLOCK = 10  # steps in a graph; even, so that it ends with the state that it began with
-_RING_ROWS = 50
-_RING_BYTES = 512 << 20
+_SLOT_ROWS = 50
+_SLOT_BYTES = 256 << 20  # the recorder asks for blocks of at most 128 MiB of states; counts come on top
 
 # of the solver (warp.DeterministicMode), and whether collision detection sorts its contacts
 _LEVELS = {"default": ("off", False), "run-to-run": ("run-to-run", True), "gpu-to-gpu": ("gpu-to-gpu", True)}
@@ -52,8 +55,9 @@ class Newton(Simulator):
 
     Options = NewtonOptions
     abilities = BODIES | {Ability.MODELS}
-    timing_interval = _BLOCK
+    timing_interval = BLOCK
     draws_actions = True
+    blocks_ahead = 2
     determinism_levels = {
         "default": "as it ships: contacts, and what solvers add up by atomic operations, in the order in which the "
         "device's threads arrive",
@@ -93,7 +97,7 @@ class Newton(Simulator):
 
         from gpusimbench.recorder.simulators.mujoco.model import compile_scene
         from gpusimbench.recorder.simulators.newton.model import one_world
-        from gpusimbench.recorder.simulators.newton.ring import Ring
+        from gpusimbench.recorder.simulators.newton.ring import Ring, evidence_shapes
         from gpusimbench.recorder.simulators.newton.sizes import choose_sizes
         from gpusimbench.recorder.simulators.newton.solvers import in_force, register
         from gpusimbench.recorder.simulators.newton.watch import Watch
@@ -110,9 +114,12 @@ class Newton(Simulator):
         self._compiled, self._physics = compiled, physics if files else None
         self._worlds = self._make_worlds(self.n_env)
         self._watch = Watch(self._worlds, options, self._sizes)
-        self._last_step = Ring(self._worlds, self._watch, 1)  # for what is asked after `step`
+        self._last_counts = _allocated(evidence_shapes(self._watch, self.n_env, 1))  # for what is asked after `step`
+        self._last_step = Ring(self._worlds, self._watch, self._last_counts)
+        self._slots: WarpSlots | None = None
         self._ring: Any = None
-        self._graphs: dict[tuple[int, int, bool], Any] = {}
+        self._timed: Steps | None = None
+        self._storing: Steps | None = None  # those that fill rows of slots
         self._kernels_built = False
         self._counted: Evidence | None = None
         self._made = 0  # steps since the build
@@ -186,37 +193,50 @@ class Newton(Simulator):
 
     def _covers(self) -> str:
         if self._device.is_cuda:
-            how = f"replay of CUDA graphs of {_BLOCK} steps (fewer for what is left over) and one synchronisation"
+            how = f"replay of CUDA graphs of {BLOCK} steps (fewer for what is left over) and one synchronisation"
         else:
             how = "collision detection and solver, step by step, on the CPU"
         drawn = "" if self.scene.actions is None else "; actions are drawn on the device"
         return f"{how}{drawn}; overflow bits are gathered on the device after each step; no state is copied"
 
     def compile(self, phase: str) -> None:
-        """See Simulator.compile: kernels are built on one throw-away environment, then graphs are captured."""
+        """See Simulator.compile: kernels are built on one throw-away environment, then graphs are captured; those of a
+        capture with their slots, whose size is known when states are asked for."""
         if not self._kernels_built:
             self._build_kernels()
-        storing = phase == "capture"
-        if storing and self._ring is None:
-            from gpusimbench.recorder.simulators.newton.ring import Ring
+        if phase == "timed" and self._timed is None:
+            self._timed = self._steps()
 
-            rows = max(1, min(_RING_ROWS, _RING_BYTES // Ring.row_bytes(self._worlds, self._watch)))
-            self._ring = Ring(self._worlds, self._watch, rows)
-        if self._device.is_cuda and (_BLOCK, 0, storing) not in self._graphs:
-            parities = (0,) if self.options.substeps % 2 == 0 else (0, 1)
-            for parity in parities:
-                for n_step in (1, _BLOCK):
-                    self._graphs[n_step, parity, storing] = self._captured(n_step, parity, storing)
+    def reserve(self, n_step: int) -> None:
+        """See Simulator.reserve; longer blocks are made in parts."""
+        self.compile("capture")
+        if self._slots is not None and self._slots.rows >= n_step:
+            return
+        from gpusimbench.recorder.simulators.newton.ring import Ring, evidence_shapes, row_bytes, state_shapes
+
+        worlds, watch = self._worlds, self._watch
+        rows = max(1, min(n_step, _SLOT_ROWS, _SLOT_BYTES // row_bytes(worlds, watch)))
+        if self._slots is None or self._slots.rows < rows:
+            shapes = state_shapes(worlds, rows) | evidence_shapes(watch, self.n_env, rows)
+            self._slots = WarpSlots(self._device, shapes)
+            self._ring = Ring(worlds, watch, self._slots.arrays)
+            self._storing = self._steps(self._ring)
+
+    def _steps(self, ring: Any = None) -> Steps:
+        return Steps(
+            self._worlds, self._watch, ring,
+            substeps=self.options.substeps, device=self._device, refusals=self._refusals,
+        )  # fmt: skip
 
     def _build_kernels(self) -> None:
         import warp as wp
 
-        from gpusimbench.recorder.simulators.newton.ring import Ring
+        from gpusimbench.recorder.simulators.newton.ring import Ring, evidence_shapes, state_shapes
         from gpusimbench.recorder.simulators.newton.watch import Watch
 
         spare = self._make_worlds(1)
         watch = Watch(spare, self.options, self._sizes)
-        ring = Ring(spare, watch, 2)
+        ring = Ring(spare, watch, _allocated(state_shapes(spare, 2) | evidence_shapes(watch, 1, 2)))
         with self._refusals():
             for _ in range(2):
                 spare.act()
@@ -228,40 +248,6 @@ class Newton(Simulator):
         gc.collect()  # solvers and their watch are in cycles, which hold on to device memory
         self._kernels_built = True
 
-    def _captured(self, n_step: int, parity: int, storing: bool) -> Any:
-        """A CUDA graph of steps that begins with the state of that parity; nothing is executed."""
-        import warp as wp
-
-        present = self._worlds.parity
-        self._worlds.parity = parity
-        with self._refusals(), wp.ScopedCapture(self._device) as capture:
-            self._enqueue(n_step, storing)
-        self._worlds.parity = present
-        return capture.graph
-
-    def _enqueue(self, n_step: int, storing: bool) -> None:
-        for _ in range(n_step):
-            self._worlds.act()
-            for _ in range(self.options.substeps):
-                self._worlds.substep()
-                self._watch.gather()
-            if storing:
-                self._ring.store()
-
-    def _advance(self, n_step: int, storing: bool) -> None:
-        self._made += n_step
-        if not self._device.is_cuda:
-            self._enqueue(n_step, storing)
-            return
-        import warp as wp
-
-        worlds = self._worlds
-        while n_step:
-            size = _BLOCK if n_step >= _BLOCK else 1
-            wp.capture_launch(self._graphs[size, worlds.parity, storing])
-            worlds.parity = (worlds.parity + size * self.options.substeps) % 2
-            n_step -= size
-
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
         """See Simulator.prepare: actions are drawn, or copied, on the device, by the streams as they are now."""
         if self._worlds.controls is not None:
@@ -271,10 +257,11 @@ class Newton(Simulator):
         """See Simulator.step."""
         import warp as wp
 
-        if not self._kernels_built or (self._device.is_cuda and (_BLOCK, 0, False) not in self._graphs):
-            self.compile("timed")
+        self.compile("timed")
+        assert self._timed is not None
+        self._made += n_step
         self._counted = None
-        self._advance(n_step, storing=False)
+        self._timed.enqueue(n_step)
         wp.synchronize_device(self._device)
 
     @classmethod
@@ -350,25 +337,36 @@ class Newton(Simulator):
             raise NotImplementedError
         given.ctrl.assign(controls.astype(np.float32).ravel())
 
+    def begin_states(self, n_step: int) -> Captured:
+        """See Simulator.begin_states."""
+        from gpusimbench.recorder.simulators.newton.block import NewtonBlock
+
+        self.reserve(n_step)
+        assert self._slots is not None and self._storing is not None
+        if n_step > self._slots.rows:
+            return Held(self.states(n_step), self.evidence())
+        slot = self._slots.take()
+        self._ring.go_to(slot.first)
+        self._made += n_step
+        self._counted = None
+        self._storing.enqueue(n_step)
+        slot.begin_copy(n_step)
+        return NewtonBlock(self._slots, slot, n_step, self.n_env, self._world.layout, self._watch.counters)
+
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
-        self.compile("capture")
-        states, evidence = [], []
-        for first in range(0, n_step, self._ring.rows):
-            rows = min(self._ring.rows, n_step - first)
-            self._ring.rewind()
-            self._advance(rows, storing=True)
-            states.append(self._world.layout.split(*self._ring.states(rows)))
-            evidence.append(self._ring.evidence(rows))
-        self._counted = joined(evidence)
-        return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
+        self.reserve(n_step)
+        assert self._slots is not None
+        states, self._counted = gathered(self.begin_states, n_step, self._slots.rows)
+        return states
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence."""
         if self._counted is None:
-            self._last_step.rewind()
-            self._last_step.store()
-            return self._last_step.evidence(1)
+            from gpusimbench.recorder.simulators.newton.ring import evidence_of
+
+            self._last_step.store_evidence()
+            return evidence_of(self._watch.counters, lambda name: np.array(self._last_counts[name].numpy()))
         return self._counted
 
     def allocator_bytes(self) -> tuple[int, int] | None:
@@ -377,6 +375,13 @@ class Newton(Simulator):
 
     def close(self) -> None:
         """See Simulator.close."""
-        for name in ("_graphs", "_ring", "_last_step", "_watch", "_worlds"):
+        for name in ("_timed", "_storing", "_ring", "_slots", "_last_step", "_last_counts", "_watch", "_worlds"):
             vars(self).pop(name, None)
         gc.collect()
+
+
+def _allocated(shapes: Mapping[str, tuple[tuple[int, ...], Any]]) -> dict[str, Any]:
+    """Arrays on Warp's present device, of shape and dtype by name."""
+    import warp as wp
+
+    return {name: wp.empty(shape, dtype=dtype) for name, (shape, dtype) in shapes.items()}

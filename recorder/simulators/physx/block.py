@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from gpusimbench.recorder.simulators.captured import States
-from gpusimbench.recorder.simulators.warp.transfer import Slot, SlotBlock, Slots
+from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots
 
 
 class PhysxBlock(SlotBlock):

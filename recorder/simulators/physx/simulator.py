@@ -31,7 +31,7 @@ from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS, OF_THE_GPU, PhysxOptions, apis, broad_phase
 from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
-from gpusimbench.recorder.simulators.warp.transfer import Slots
+from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer
@@ -115,7 +115,7 @@ class Physx(Simulator):
             self._arms = self._model.articulations(session, n_env=self.n_env, origins=origins, device=device)
         self._source: Any = self._arms or bodies.Bodies(session, self.scene, n_env=self.n_env, device=device)
         self._last = wp.empty((1, *self._source.row_shape), dtype=wp.float32, device=device)
-        self._slots: Slots | None = None
+        self._slots: WarpSlots | None = None
         if gpu and self._arms is None:
             if self._source.store(self._last, 0):
                 raise GsbError("PhysX did not take the GPU: its states are on the host; its messages say why")
@@ -183,7 +183,7 @@ class Physx(Simulator):
         shape = self._source.row_shape
         rows = max(1, min(n_step, _BLOCK_ROWS, _BLOCK_BYTES // (4 * math.prod(shape))))
         if self._slots is None or self._slots.rows < rows:
-            self._slots = Slots(self._device, {"states": ((rows, *shape), wp.float32)})
+            self._slots = WarpSlots(self._device, {"states": ((rows, *shape), wp.float32)})
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
         """See Simulator.prepare."""

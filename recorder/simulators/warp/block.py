@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.recorder.simulators.warp.transfer import Slot, SlotBlock, Slots
+from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots
 
 
 class WarpBlock(SlotBlock):

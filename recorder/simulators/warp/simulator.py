@@ -23,6 +23,7 @@ from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, 
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.flight import Flight, Watch
 from gpusimbench.recorder.simulators.mujoco.options import replacement
+from gpusimbench.recorder.simulators.slots import Slot
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
@@ -30,7 +31,7 @@ from gpusimbench.recorder.simulators.warp.actions import DeviceActions
 from gpusimbench.recorder.simulators.warp.block import WarpBlock, evidence_of
 from gpusimbench.recorder.simulators.warp.flight import WarpFlight
 from gpusimbench.recorder.simulators.warp.options import LEVELS, SETTINGS, WarpOptions
-from gpusimbench.recorder.simulators.warp.transfer import Slot, Slots
+from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
@@ -79,7 +80,7 @@ class MujocoWarp(Simulator):
         actions = self.scene.actions
         self._drawn = None if actions is None else DeviceActions(actions, self.seed, self.streams)
         self._row = wp.zeros(1, dtype=wp.int32)
-        self._slots: Slots | None = None
+        self._slots: WarpSlots | None = None
         self._graphs: dict[str, Any] = {}
         self._counted: Evidence | None = None  # of the last states; None: to be counted when asked
         return Description(
@@ -177,7 +178,7 @@ class MujocoWarp(Simulator):
             for slot in self._slots.all
         }
 
-    def _new_slots(self, rows: int) -> Slots:
+    def _new_slots(self, rows: int) -> WarpSlots:
         data = self._data
         shapes: dict[str, tuple[tuple[int, ...], Any]] = {
             "qpos": ((rows, *data.qpos.shape), float),
@@ -186,7 +187,7 @@ class MujocoWarp(Simulator):
         }
         if self.scene.actions is not None:
             shapes["ctrl"] = ((rows, *data.ctrl.shape), float)
-        return Slots(self._device, shapes)
+        return WarpSlots(self._device, shapes)
 
     def _captured(self, work: Callable[[], None]) -> Any:
         if not self._device.is_cuda:

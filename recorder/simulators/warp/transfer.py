@@ -1,42 +1,27 @@
-"""Rows of arrays on a Warp device, copied to the host while the device goes on.
-
-A slot has arrays on the device and, for a GPU, their copies in pinned host memory. Copies run on a stream of their own
-as soon as the work before them is done. On the CPU the device's arrays are the host's.
-"""
+"""Slots of Warp's arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from queue import SimpleQueue
 from typing import Any
 
-from numpy.typing import NDArray
-
-from gpusimbench.recorder.simulators.captured import RING_BLOCKS, Captured
+from gpusimbench.recorder.simulators.slots import Shapes, Slot, Slots
 
 
-class Slot:
-    """Arrays [row, ...] by name, on the device and on the host."""
+class WarpSlot(Slot):
+    """A slot on a Warp device."""
 
-    def __init__(self, device: Any, copying: Any, shapes: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
-        """shapes   shape and Warp's dtype by name; the first dimension is the row
-        copying  the stream that copies; None on the CPU
-        """
-        import warp as wp
-
-        self.arrays = {name: wp.empty(shape, dtype=dtype, device=device) for name, (shape, dtype) in shapes.items()}
+    def __init__(
+        self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any], device: Any, copying: Any
+    ) -> None:
+        """copying  the stream that copies; None on the CPU"""
+        super().__init__(first, arrays, host)
         self._device = device
         self._copying = copying
         self._copied: Any = None
-        if copying is None:
-            self._host = self.arrays
-        else:
-            self._host = {
-                name: wp.empty(shape, dtype=dtype, device="cpu", pinned=True) for name, (shape, dtype) in shapes.items()
-            }
 
     def begin_copy(self, rows: int) -> None:
-        """Enqueue the copy of the first rows behind what the device has been given to do."""
+        """See Slot.begin_copy."""
         if self._copying is None:
             return
         import warp as wp
@@ -47,57 +32,28 @@ class Slot:
         self._copied = self._copying.record_event(self._copied)
 
     def wait(self) -> None:
-        """Return when the copy is there."""
+        """See Slot.wait."""
         if self._copied is not None:
             import warp as wp
 
             wp.synchronize_event(self._copied)
 
-    def host(self, name: str, rows: int) -> NDArray[Any]:
-        """The first rows of an array on the host: not a copy."""
-        array: NDArray[Any] = self._host[name].numpy()[:rows]
-        return array
 
+class WarpSlots(Slots):
+    """Slots on a Warp device."""
 
-class Slots:
-    """A few slots alike. The thread that steps takes one; any thread gives it back."""
-
-    def __init__(self, device: Any, shapes: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
-        """shapes  as of Slot"""
+    def __init__(self, device: Any, shapes: Shapes) -> None:
+        """shapes  with Warp's dtypes"""
         import warp as wp
 
-        self.rows = next(iter(shapes.values()))[0][0]
-        copying = wp.Stream(device) if device.is_cuda else None
-        self.all = tuple(Slot(device, copying, shapes) for _ in range(RING_BLOCKS))
-        self._free: SimpleQueue[Slot] = SimpleQueue()
-        for slot in self.all:
-            self._free.put(slot)
+        self._device = device
+        self._copying = wp.Stream(device) if device.is_cuda else None
+        super().__init__(shapes, pinned=device.is_cuda)
 
-    def take(self) -> Slot:
-        """A slot that nobody uses; at most RING_BLOCKS may be taken."""
-        return self._free.get_nowait()
+    def _allocated(self, shape: tuple[int, ...], dtype: Any, *, pinned: bool) -> Any:
+        import warp as wp
 
-    def give_back(self, slot: Slot) -> None:
-        """The slot may be taken again."""
-        self._free.put(slot)
+        return wp.empty(shape, dtype=dtype, device="cpu" if pinned else self._device, pinned=pinned)
 
-
-class SlotBlock(Captured):
-    """Steps in the first rows of a slot, which goes back to its kind when they were read."""
-
-    def __init__(self, slots: Slots, slot: Slot, rows: int) -> None:
-        self._slots = slots
-        self._slot = slot
-        self._rows = rows
-
-    def host(self, name: str) -> NDArray[Any]:
-        """The steps of an array on the host: not a copy."""
-        return self._slot.host(name, self._rows)
-
-    def wait(self) -> None:
-        """See Captured.wait."""
-        self._slot.wait()
-
-    def release(self) -> None:
-        """See Captured.release."""
-        self._slots.give_back(self._slot)
+    def _slot(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> WarpSlot:
+        return WarpSlot(first, arrays, host, self._device, self._copying)

@@ -1,0 +1,110 @@
+"""Rows of arrays on a device, copied to the host while the device goes on, whatever library the arrays are of.
+
+A slot has arrays on the device and, for a GPU, their copies in pinned host memory. Copies run on a stream of their own
+as soon as the work before them is done. On the CPU the device's arrays are the host's.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from queue import SimpleQueue
+from typing import Any
+
+from numpy.typing import NDArray
+
+from gpusimbench.recorder.simulators.captured import RING_BLOCKS, Captured
+
+Shapes = Mapping[str, tuple[tuple[int, ...], Any]]
+"""Shape and the library's dtype by name; the first dimension is the row."""
+
+
+class Slot(ABC):
+    """Arrays [row, ...] by name, on the device and on the host.
+
+    first   number of its first row among those of all slots
+    arrays  on the device
+    """
+
+    def __init__(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> None:
+        """host  the copies; the same arrays on the CPU"""
+        self.first = first
+        self.arrays = arrays
+        self._host = host
+
+    @abstractmethod
+    def begin_copy(self, rows: int) -> None:
+        """Enqueue the copy of the first rows behind what the device has been given to do."""
+
+    @abstractmethod
+    def wait(self) -> None:
+        """Return when the copy is there."""
+
+    def host(self, name: str, rows: int) -> NDArray[Any]:
+        """The first rows of an array on the host: not a copy."""
+        array: NDArray[Any] = self._host[name].numpy()[:rows]
+        return array
+
+
+class Slots(ABC):
+    """A few slots alike. The thread that steps takes one; any thread gives it back.
+
+    rows    of a slot
+    all     the slots
+    arrays  on the device, by name: the rows of all slots one after the other, so that one CUDA graph can fill any slot
+    """
+
+    def __init__(self, shapes: Shapes, *, pinned: bool) -> None:
+        """shapes  of a slot's arrays
+        pinned  whether the host has copies; False on the CPU
+        """
+        rows = self.rows = next(iter(shapes.values()))[0][0]
+        whole = {name: ((RING_BLOCKS * rows, *shape[1:]), dtype) for name, (shape, dtype) in shapes.items()}
+        self.arrays = {name: self._allocated(*made, pinned=False) for name, made in whole.items()}
+        host = {name: self._allocated(*made, pinned=True) for name, made in whole.items()} if pinned else self.arrays
+
+        def slot_at(first: int) -> Slot:
+            parts = ({name: a[first : first + rows] for name, a in arrays.items()} for arrays in (self.arrays, host))
+            return self._slot(first, *parts)
+
+        self.all = tuple(slot_at(number * rows) for number in range(RING_BLOCKS))
+        self._free: SimpleQueue[Slot] = SimpleQueue()
+        for slot in self.all:
+            self._free.put(slot)
+
+    @abstractmethod
+    def _allocated(self, shape: tuple[int, ...], dtype: Any, *, pinned: bool) -> Any:
+        """An array on the device, or in pinned memory of the host."""
+
+    @abstractmethod
+    def _slot(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> Slot:
+        """A slot of these arrays."""
+
+    def take(self) -> Slot:
+        """A slot that nobody uses; at most RING_BLOCKS may be taken."""
+        return self._free.get_nowait()
+
+    def give_back(self, slot: Slot) -> None:
+        """The slot may be taken again."""
+        self._free.put(slot)
+
+
+class SlotBlock(Captured):
+    """Steps in the first rows of a slot, which goes back to its kind when they were read."""
+
+    def __init__(self, slots: Slots, slot: Slot, rows: int) -> None:
+        self._slots = slots
+        self._slot = slot
+        self._rows = rows
+
+    def host(self, name: str) -> NDArray[Any]:
+        """The steps of an array on the host: not a copy."""
+        return self._slot.host(name, self._rows)
+
+    def wait(self) -> None:
+        """See Captured.wait."""
+        self._slot.wait()
+
+    def release(self) -> None:
+        """See Captured.release."""
+        self._slots.give_back(self._slot)
