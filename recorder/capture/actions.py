@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import env_block
 from gpusimbench.recorder.capture.workers import Workers
-from gpusimbench.recorder.scenes.actions import JointTargets, Streams
 from gpusimbench.schemas import topics
+from gpusimbench.schemas.action_generator import JointTargets, Streams
 from gpusimbench.schemas.blocks import action_parts
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.mcap.writer import Part

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.actions import Actions, write_action_stream
 from gpusimbench.recorder.run.journal import Journal
-from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.simulators.base import Simulator
+from gpusimbench.schemas.action_generator import Streams
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.treatment import Intervention, drawn
 

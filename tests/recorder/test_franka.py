@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
 from gpusimbench.recorder.scenes.franka import PANDA, START, franka
+from gpusimbench.schemas.action_generator import Streams
 from tests.conftest import SMALL, Command
 
 G = 9.81
