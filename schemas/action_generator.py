@@ -1,4 +1,4 @@
-"""Actions that every engine is given: a pure function of seed, environment and step."""
+"""Actions that every engine is given: a pure function of seed, environment and step, which readers draw again."""
 
 from __future__ import annotations
 
@@ -6,20 +6,32 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.schemas import checks
+from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mixing import GOLDEN32, mix32
 
 GRID = 2.0**-13
 """Angles of a robot's joints are whole multiples of this [rad]."""
 
+_TARGETS, _CONTROLS = "murmur3-fmix32-grid13", "murmur3-fmix32"
+"""The generators of JointTargets and of Controls, as descriptions name them."""
+
 _WORD_BITS = 16  # of the random word that scales a range; a range of less than 2^16 steps keeps the product in 32 bits
 _RANGE_BITS = 15  # steps that a range is divided into, at most
 _MANTISSA_BITS = 24  # of a float32
 _SMALLEST = 2.0**-102  # whose last bit is a normal float32 still
+
+GENERATOR = "generator"
+"""What the metadata of a channel of actions call the description of their generator."""
+
+MAX_WIDTH = 256
+"""Numbers that an environment is given in a step by a generator that is described in a file."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +46,13 @@ class Streams:
     begun: NDArray[np.uint32]
 
     @classmethod
-    def usual(cls, n_env: int) -> Streams:
-        """Every environment is given its own actions, which never begin anew."""
-        return cls(np.arange(n_env, dtype=np.uint32), np.zeros(n_env, dtype=np.uint32))
+    def usual(cls, n_env: int, first: int = 0) -> Streams:
+        """Every environment, from the first on, is given its own actions, which never begin anew."""
+        return cls(np.arange(first, first + n_env, dtype=np.uint32), np.zeros(n_env, dtype=np.uint32))
+
+    def of(self, envs: range) -> Streams:
+        """Those of consecutive environments."""
+        return Streams(self.env[envs.start : envs.stop], self.begun[envs.start : envs.stop])
 
     def steps(self, first_step: int, n_step: int) -> NDArray[np.uint32]:
         """The generator's step of each step and environment, [step, env]."""
@@ -83,12 +99,13 @@ class JointTargets:
     lower: tuple[float, ...]
     upper: tuple[float, ...]
 
-    def _grids(self) -> tuple[float, ...]:
+    def grids_of(self) -> tuple[float, ...]:
+        """Of which the targets of each joint are whole multiples [unit]."""
         return (GRID,) * len(self.joints)
 
     def grid(self) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.float32]]:
         """`first`, `count` and `grid` for each joint: the targets are grid times first .. first + count - 1."""
-        grids = self._grids()
+        grids = self.grids_of()
         first = np.array([math.ceil(x / grid) for x, grid in zip(self.lower, grids, strict=True)], dtype=np.int32)
         last = np.array([math.floor(x / grid) for x, grid in zip(self.upper, grids, strict=True)], dtype=np.int32)
         return first, (last - first + 1).astype(np.uint32), np.array(grids, dtype=np.float32)
@@ -123,7 +140,7 @@ class JointTargets:
 
     def describe(self, seed: int, streams: Streams) -> str:
         """The generator with all that it depends on (JSON)."""
-        return json.dumps({"generator": "murmur3-fmix32-grid13", **self._known(seed), **streams.describe()})
+        return json.dumps({"generator": _TARGETS, **self._known(seed), **streams.describe()})
 
     def _known(self, seed: int) -> dict[str, Any]:
         return {"name": self.name, "seed": seed, "joints": self.joints, "lower": self.lower, "upper": self.upper}
@@ -151,12 +168,13 @@ class Controls(JointTargets):
         lower, upper = tuple(low for low, _ in found), tuple(high for _, high in found)
         return cls(name, tuple(ranges), lower, upper, grids)
 
-    def _grids(self) -> tuple[float, ...]:
+    def grids_of(self) -> tuple[float, ...]:
+        """See JointTargets.grids_of."""
         return self.grids
 
     def describe(self, seed: int, streams: Streams) -> str:
         """See JointTargets.describe."""
-        known = {"generator": "murmur3-fmix32", **self._known(seed), "grids": self.grids}
+        known = {"generator": _CONTROLS, **self._known(seed), "grids": self.grids}
         return json.dumps({**known, **streams.describe()})
 
 
@@ -177,3 +195,52 @@ def grid_of(lower: float, upper: float) -> float:
     if lower < upper:
         exponent = max(exponent, math.ceil(math.log2((upper - lower) / 2**_RANGE_BITS)))
     return 2.0**exponent
+
+
+class Generator(NamedTuple):
+    """What a file says of the actions that it does not hold."""
+
+    actions: JointTargets
+    seed: int
+
+    def draw(self, streams: Streams, first_step: int, n_step: int) -> NDArray[np.float32]:
+        """See JointTargets.draw."""
+        return self.actions.draw(
+            self.seed, n_env=len(streams.env), first_step=first_step, n_step=n_step, streams=streams
+        )
+
+
+def describe_generator(actions: JointTargets, seed: int) -> str:
+    """The generator of these actions for `read_generator`; empty where that cannot make them, as those of a file."""
+    text = actions.describe(seed, Streams.usual(0))
+    try:
+        return text if read_generator(text) == (actions, seed) else ""
+    except DamagedRecording:
+        return ""
+
+
+@lru_cache(maxsize=16)
+def read_generator(text: str) -> Generator:
+    """The generator that a description says (see JointTargets.describe), its streams aside.
+
+    DamagedRecording where it is none, or none that is known.
+    """
+    record = checks.load("the generator of actions", text)
+    kind = checks.text(record, "generator")
+    if kind not in (_TARGETS, _CONTROLS):
+        raise DamagedRecording(f"actions are made by the generator {kind[:60]!r}, not known here; update gpusimbench")
+    name, joints = checks.text(record, "name"), checks.texts(record, "joints")
+    if not 0 < len(joints) <= MAX_WIDTH:
+        raise DamagedRecording(f"a generator makes {len(joints)} numbers for an environment, not 1 to {MAX_WIDTH}")
+    lower, upper = (checks.vector(record.get(key), len(joints), f"{key} of a generator") for key in ("lower", "upper"))
+    actions = JointTargets(name, joints, lower, upper)
+    if kind == _CONTROLS:
+        grids = checks.vector(record.get("grids"), len(joints), "grids of a generator")
+        actions = Controls(name, joints, lower, upper, grids)
+    for low, high, grid in zip(lower, upper, actions.grids_of(), strict=True):
+        # what the generator's words of 32 bits hold, and a float32
+        if not (2.0**-126 <= grid <= 2.0**127 and max(abs(low), abs(high)) <= grid * 2.0**30):
+            raise DamagedRecording(f"a generator has the range {low:g} to {high:g} in steps of {grid:g}")
+        if not 0 <= math.floor(high / grid) - math.ceil(low / grid) < 2**_WORD_BITS:
+            raise DamagedRecording(f"a generator has the range {low:g} to {high:g} in steps of {grid:g}")
+    return Generator(actions, checks.whole(record, "seed", 0, 2**64 - 1))

@@ -12,6 +12,7 @@ from gpusimbench.schemas.mcap.records import (
     MESSAGE_HEAD,
     Attachment,
     ChannelRecord,
+    Header,
     Metadata,
     Op,
     Record,
@@ -75,7 +76,7 @@ class Copier:
     """
 
     def __init__(self, target: Target, source: Path, *, compression: str, change: Change | None = None) -> None:
-        self._writer = McapWriter(target.stream, profile=FORMAT, library=LIBRARY, compression=compression)
+        self._writer = McapWriter(target.stream, profile=_profile(source), library=LIBRARY, compression=compression)
         self._source = source
         self._change = change
         self._schemas = {0: 0}  # new numbers by old ones; a channel of schema 0 has none
@@ -131,6 +132,11 @@ class Copier:
             data = self._change(content)
         publish_time = MESSAGE_HEAD.unpack_from(record.content)[3]
         self._writer.message(number, data, log_time=log_time, publish_time=publish_time, sequence=sequence)
+
+
+def _profile(source: Path) -> str:
+    record = next(iter(Walk(MappedFile(source))), None)
+    return parse(Header, record.cursor(source)).profile if record and record.opcode == Op.HEADER else FORMAT
 
 
 def _described(record: Schema) -> bytes:

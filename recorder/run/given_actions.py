@@ -61,9 +61,9 @@ def prepare(simulator: Simulator, configuration: RunConfiguration, first_step: i
         return None
 
     def of(envs: range) -> NDArray[np.float32]:
-        some = slice(envs.start, envs.stop)
-        streams = Streams(every.env[some], every.begun[some])
-        return actions.draw(configuration.seed, n_env=len(envs), first_step=first_step, n_step=n_step, streams=streams)
+        return actions.draw(
+            configuration.seed, n_env=len(envs), first_step=first_step, n_step=n_step, streams=every.of(envs)
+        )
 
     return of
 
