@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fingerprint import COMPILED_BYTES
 from gpusimbench.schemas.mixing import GOLDEN32, mix32, mix32_in_place
 
 GRID = 2.0**-13
@@ -33,6 +35,19 @@ GENERATOR = "generator"
 
 MAX_WIDTH = 256
 """Numbers that an environment is given in a step by a generator that is described in a file."""
+
+_fill: Callable[..., None] | None = None
+
+
+def expect(size: int) -> None:
+    """Actions of `size` bytes are going to be drawn by this process: from COMPILED_BYTES on by machine code, where
+    numba is installed. They are the same."""
+    global _fill
+    if size >= COMPILED_BYTES:
+        with suppress(ImportError):  # Pythons of engines have no numba
+            from gpusimbench.schemas.action_generator_compiled import fill
+
+            _fill = fill
 
 
 @dataclass(frozen=True)
@@ -132,9 +147,12 @@ class JointTargets:
             for counter in (given.env, given.steps(first_step, n_step), np.arange(len(self.joints), dtype=np.uint32))
         )
         words = mix32(mix32(np.uint32(self.seed_word(seed)) + env) + step).reshape(-1)
-        first, count, grid = (each[:, None] for each in self.grid())
         targets = np.empty((n_step, n_env, len(self.joints)), dtype=np.float32)
         rows = targets.reshape(len(words), len(self.joints))
+        if _fill is not None:
+            _fill(words, joint, *self.grid(), rows)
+            return targets
+        first, count, grid = (each[:, None] for each in self.grid())
         size = min(len(words), max(1, _WORDS // len(self.joints)))
         scratch = np.empty((2, size * len(self.joints)), dtype=np.uint32)
         for begin in range(0, len(words), size or 1):

@@ -12,7 +12,7 @@ from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import env_block
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.action_generator import GENERATOR, JointTargets, Streams, describe_generator
+from gpusimbench.schemas.action_generator import GENERATOR, JointTargets, Streams, describe_generator, expect
 from gpusimbench.schemas.blocks import action_parts, generated_action
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.mcap.writer import Part
@@ -32,9 +32,12 @@ class ActionWriter:
     """
 
     def __init__(
-        self, sink: Sink, workers: Workers, actions: JointTargets, *, seed: int, streams: Streams, dt: float
-    ) -> None:
-        """streams  of all environments"""
+        self, sink: Sink, workers: Workers, actions: JointTargets, *, seed: int, streams: Streams, dt: float,
+        n_step: int,
+    ) -> None:  # fmt: skip
+        """streams  of all environments
+        n_step   how many steps will be written
+        """
         self._sink = sink
         self._workers = workers
         self._name = actions.name
@@ -42,6 +45,8 @@ class ActionWriter:
         self._dt = dt
         n_env, generator = len(streams.env), describe_generator(actions, seed)
         self._generated = bool(generator)
+        if generator:
+            expect(n_step * n_env * len(actions.joints) * np.dtype(np.float32).itemsize)
         size = env_block(n_env)
         self._blocks = [range(start, min(start + size, n_env)) for start in range(0, n_env, size)]
         metadata = {

@@ -68,7 +68,9 @@ class CapturePhase:
         actions = (
             None
             if drawn is None
-            else ActionWriter(sink, writer.workers, drawn, seed=c.seed, streams=simulator.streams, dt=c.dt)
+            else ActionWriter(
+                sink, writer.workers, drawn, seed=c.seed, streams=simulator.streams, dt=c.dt, n_step=c.captured_steps
+            )
         )
         counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1, workers=writer.workers)
         kept = (

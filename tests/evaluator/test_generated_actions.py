@@ -170,7 +170,7 @@ def test_what_an_engine_held_is_what_is_written(tmp_path: Path) -> None:
     held[3, 65, 2] += np.float32(0.5)
     sink = Sink(tmp_path / "run.mcap", compression="none")
     assert _ACTIONS is not None
-    writer = ActionWriter(sink, Workers(alone=True), _ACTIONS, seed=0, streams=streams, dt=0.01)
+    writer = ActionWriter(sink, Workers(alone=True), _ACTIONS, seed=0, streams=streams, dt=0.01, n_step=5)
     writer.write(lambda envs: expected[:, envs.start : envs.stop], lambda envs: held[:, envs], 0)
     sink.finish("COMPLETE", "", last_step=5, peak_rss_bytes=1)
     container = Container(sink.path)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gpusimbench.schemas import action_generator
 from gpusimbench.schemas.action_generator import (
     MAX_WIDTH,
     Controls,
@@ -88,6 +89,19 @@ def test_a_block_is_drawn_again(generator: Generator, env: int, first: int, rows
     step, begun = first + row, int(given_streams.begun[place])
     counted = step - begun if step >= begun else step
     assert float(drawn[row, place, joint]) == _target(again, int(given_streams.env[place]), counted, joint)
+
+
+@given(generators(), st.integers(0, 2**32 - 9), st.integers(0, 6), st.data())
+def test_compiled_code_draws_the_same(generator: Generator, first: int, rows: int, data: Any) -> None:
+    """Give the same bits by machine code, as drawn in captures of many actions."""
+    pytest.importorskip("numba")
+    from gpusimbench.schemas.action_generator_compiled import fill
+
+    given_streams = data.draw(streams(3))
+    drawn = generator.draw(given_streams, first, rows)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(action_generator, "_fill", fill)
+        assert generator.draw(given_streams, first, rows).tobytes() == drawn.tobytes()
 
 
 def _block(**changes: Any) -> bytes:
