@@ -14,6 +14,7 @@ SCRIPTS = (
     ("start_up",),
     ("write_path", "--n-env", "256"),
     ("read_path",),
+    ("action_storage",),
     ("capture_overhead",),
     ("archive",),
     ("transport",),

@@ -2,7 +2,8 @@
 
 A packed repeated number is tag, length, little-endian bytes; protobuf lets fields follow each other in any order. So a
 block is its small fields, serialised as usual, followed by the array's own bytes: no Python number is ever made.
-Blocks of states may hold their array packed instead (schemas.packing).
+Blocks of states may hold their array packed instead (schemas.packing), and blocks of actions none, where a generator
+draws it again (schemas.action_generator).
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.schemas import packing, wire
+from gpusimbench.schemas.action_generator import Generator, Streams
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.mcap import decompression
 from gpusimbench.schemas.mcap.crc import second
-from gpusimbench.schemas.mcap.writer import Part
+from gpusimbench.schemas.mcap.writer import Buffer, Part
 from gpusimbench.schemas.messages import message_class
 
 _STATE = "gsb.v1.StateBlock"
@@ -33,9 +36,12 @@ ARRAY_FIELDS = {"data": "<f4", "data64": "<f8", "hashes": "<u8"}
 STATE_HEAD_BYTES = 256
 """In which the small fields of a StateBlock have room."""
 
-_RAW, _PACKED = 0, 1  # of gsb.v1.Encoding
+_RAW, _PACKED, _GENERATED = 0, 1, 2  # of gsb.v1.Encoding
+_ENCODINGS = {_STATE: (_RAW, _PACKED), _ACTION: (_RAW, _GENERATED), _FINGERPRINT: (_RAW,)}
 _WORDS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
-_STORAGE = ("encoding", "packed", "data", "data64", "word_bytes")  # the fields that say how an array is stored
+_STREAMS = ("stream_env", "stream_begun")  # of an ActionBlock, fixed32
+# the fields that say how an array is stored
+_STORAGE = ("encoding", "packed", "data", "data64", "word_bytes", *_STREAMS)
 
 
 def little_endian(array: NDArray[Any]) -> NDArray[Any]:
@@ -80,6 +86,22 @@ def action_parts(
     sides = ("steps", "envs", "width")
     return _parts(_ACTION, array, sides, first_step=first_step, stride=stride, env_start=env_start,
                   sim_time_ns=sim_time_ns)  # fmt: skip
+
+
+def generated_action(parts: tuple[Part, Part], streams: Streams, env_start: int) -> bytes:
+    """The ActionBlock of these parts, as of `action_parts`, without its array, which a generator draws again.
+
+    streams  of its environments, the first of which is env_start
+    """
+    head, array = parts
+    small = bytes(head.data).removesuffix(wire.delimited_head(_number(_ACTION, "data"), len(array.data)))
+    usual = Streams.usual(len(streams.env), env_start)
+    stored = message_class(_ACTION)(
+        encoding=_GENERATED,
+        stream_env=streams.env.tolist() if (streams.env != usual.env).any() else (),
+        stream_begun=streams.begun.tolist() if streams.begun.any() else (),
+    )
+    return small + bytes(stored.SerializeToString())
 
 
 def _parts(name: str, array: NDArray[Any], sides: Sequence[str], **small: int) -> tuple[Part, Part]:
@@ -134,6 +156,7 @@ class _Scanned:
     field    name of the field that holds the array, empty without one
     array    its bytes
     packed   bytes of the array in another encoding
+    streams  bytes of the fields of _STREAMS that are there
     before   bytes of the message ahead of the array where that ends it; None where it does not
     """
 
@@ -141,6 +164,7 @@ class _Scanned:
     field: str
     array: memoryview
     packed: memoryview
+    streams: dict[str, memoryview]
     before: int | None
 
 
@@ -151,6 +175,7 @@ def _scan(name: str, data: memoryview, *, again: bool = False) -> _Scanned:
     """
     by_number = message_class(name).DESCRIPTOR.fields_by_number
     values: dict[str, int] = {}
+    streams: dict[str, memoryview] = {}
     array, payload, packed = "", memoryview(b""), memoryview(b"")
     position, end = 0, -1  # of the fields so far; of the array
     try:
@@ -167,11 +192,13 @@ def _scan(name: str, data: memoryview, *, again: bool = False) -> _Scanned:
                 array, payload, end = field.name, found.payload, position
             elif field.name == "packed":
                 packed = found.payload
+            elif field.name in _STREAMS:
+                streams[field.name] = found.payload
     except ValueError:
         raise DamagedRecording(f"a {name} message is cut short or no protobuf") from None
     header = _header(values)
     before = len(data) - len(payload) if end == len(data) and not again else None
-    return _Scanned(header, array, payload, packed, before)
+    return _Scanned(header, array, payload, packed, streams, before)
 
 
 def _repacked(name: str, data: memoryview, again: bool) -> memoryview:
@@ -186,20 +213,24 @@ def _repacked(name: str, data: memoryview, again: bool) -> memoryview:
 
 
 def _decode(
-    name: str, data: bytes | memoryview, shape: Callable[[BlockHeader], tuple[int, ...]], crc: int | None = None
-) -> Any:
+    name: str, data: bytes | memoryview, shape: Callable[[BlockHeader], tuple[int, ...]], crc: int | None = None,
+    draw: Callable[[_Scanned], NDArray[Any]] | None = None,
+) -> Any:  # fmt: skip
     scanned = _scan(name, memoryview(data))
     header = scanned.header
     _check_size(name, scanned, shape(header))
     try:
         if header.encoding == _PACKED:
             array = packing.unpack(scanned.packed, shape(header), _dtype(scanned))
+        elif header.encoding == _GENERATED and draw is not None:
+            array = draw(scanned)
         else:
             array = np.frombuffer(scanned.array, dtype=_dtype(scanned)).reshape(shape(header))
     except ValueError as error:  # also numpy's, of an array without numbers whose other sides are too many
         raise DamagedRecording(f"the {name} at step {header.first_step} cannot be read: {error}") from None
     array.flags.writeable = False
-    if header.crc32 is not None and _array_crc(scanned, data, array, crc) != header.crc32:
+    claimed = header.crc32 if header.encoding != _GENERATED else header.crc32 or 0  # what is drawn is always checked
+    if claimed is not None and _array_crc(scanned, data, array, crc) != claimed:
         raise DamagedRecording(f"the {name} at step {header.first_step} fails its CRC")
     return header, array
 
@@ -211,7 +242,7 @@ def _array_crc(scanned: _Scanned, data: bytes | memoryview, array: NDArray[Any],
 
 
 def _dtype(scanned: _Scanned) -> np.dtype[Any]:
-    if scanned.header.encoding == _RAW:
+    if scanned.header.encoding in (_RAW, _GENERATED):
         return np.dtype(ARRAY_FIELDS.get(scanned.field, "<f4"))
     if scanned.header.word_bytes not in _WORDS:
         raise DamagedRecording(f"a packed block has numbers of {scanned.header.word_bytes} bytes, neither 4 nor 8")
@@ -221,7 +252,7 @@ def _dtype(scanned: _Scanned) -> np.dtype[Any]:
 def _check_size(name: str, scanned: _Scanned, shape: tuple[int, ...]) -> int:
     # bytes of the array, borne out by what the message holds
     encoding = scanned.header.encoding
-    if encoding not in (_RAW, _PACKED):
+    if encoding not in _ENCODINGS[name]:
         raise DamagedRecording(
             f"a block uses encoding {encoding}, which this version does not read; update gpusimbench"
         )
@@ -231,7 +262,7 @@ def _check_size(name: str, scanned: _Scanned, shape: tuple[int, ...]) -> int:
             packing.check_frame(scanned.packed, size)
         except ValueError as error:
             raise DamagedRecording(f"a packed {name} message of shape {shape} is damaged: {error}") from None
-    elif size != len(scanned.array):
+    elif size != len(scanned.array) and encoding == _RAW:
         raise DamagedRecording(
             f"a {name} message announces an array of shape {shape}, {size} bytes, and holds {len(scanned.array)}"
         )
@@ -290,20 +321,23 @@ def pack_state(data: bytes | memoryview, *, level: int = packing.DEFAULT_LEVEL) 
     _, array = decode_state(data)
     frame = packing.pack(array, level=level)
     stored = message_class(_STATE)(encoding=_PACKED, word_bytes=array.dtype.itemsize, packed=frame)
-    packed, unpacked = _without_array(data) + bytes(stored.SerializeToString()), unpack_state(data)
+    packed, unpacked = _without_array(_STATE, data) + bytes(stored.SerializeToString()), unpack_state(data)
     return packed if len(packed) < len(unpacked) else unpacked
 
 
 def unpack_state(data: bytes | memoryview) -> bytes:
     """The same StateBlock with its array as it is; the inverse of pack_state."""
-    _, array = decode_state(data)
+    return b"".join(_with_array(_STATE, data, decode_state(data)[1]))
+
+
+def _with_array(name: str, data: bytes | memoryview, array: NDArray[Any]) -> tuple[Buffer, Buffer, Buffer]:
     payload = raw_bytes(array)
-    head = wire.delimited_head(_number(_STATE, _data_field(array)), len(payload))
-    return b"".join((_without_array(data), head, payload))
+    return _without_array(name, data), wire.delimited_head(_number(name, _data_field(array)), len(payload)), payload
 
 
-def _without_array(data: bytes | memoryview) -> bytes:
-    storage = {_number(_STATE, name) for name in _STORAGE}
+def _without_array(name: str, data: bytes | memoryview) -> bytes:
+    by_name = message_class(name).DESCRIPTOR.fields_by_name
+    storage = {by_name[field].number for field in _STORAGE if field in by_name}
     return b"".join(field.whole for field in wire.fields(memoryview(data)) if field.number not in storage)
 
 
@@ -311,10 +345,48 @@ def _state_shape(header: BlockHeader) -> tuple[int, ...]:
     return header.steps, header.envs, header.items, header.width
 
 
-def decode_action(data: bytes | memoryview) -> tuple[BlockHeader, NDArray[Any]]:
-    """Header and read-only array [step, env, width] of an ActionBlock; its CRC is verified."""
-    result: tuple[BlockHeader, NDArray[Any]] = _decode(_ACTION, data, lambda h: (h.steps, h.envs, h.width))
+def decode_action(
+    data: bytes | memoryview, generator: Generator | None = None, *, most: int = decompression.MAX_BYTES
+) -> tuple[BlockHeader, NDArray[Any]]:
+    """Header and read-only array [step, env, width] of an ActionBlock; its CRC is verified.
+
+    generator  that draws the array again where the block has none
+    most       environments times steps that are drawn; DamagedRecording where a block announces more
+    """
+    result: tuple[BlockHeader, NDArray[Any]] = _decode(
+        _ACTION, data, lambda h: (h.steps, h.envs, h.width), draw=lambda scanned: _drawn(scanned, generator, most)
+    )
     return result
+
+
+def raw_action(
+    data: bytes | memoryview, generator: Generator | None, *, most: int = decompression.MAX_BYTES
+) -> tuple[BlockHeader, tuple[Buffer, ...]]:
+    """Header of an ActionBlock, and the same block with its array as it is, in parts: digests are of these bytes."""
+    header = _scan(_ACTION, memoryview(data)).header
+    if header.encoding == _RAW:
+        return header, (data,)
+    return header, _with_array(_ACTION, data, decode_action(data, generator, most=most)[1])
+
+
+def _drawn(scanned: _Scanned, generator: Generator | None, most: int) -> NDArray[np.float32]:
+    # ValueError where the block is none that a recorder writes; nothing of its size is allocated before that is known
+    header = scanned.header
+    if generator is None:
+        raise ValueError("its channel names no generator of the actions")
+    rows, width = header.steps * header.envs, len(generator.actions.joints)
+    if header.width != width or not 0 < rows <= most or 4 * rows * width > decompression.MAX_BYTES:
+        raise ValueError(f"it announces {rows} times {header.width} numbers of a generator, more than may be drawn")
+    if header.first_step + header.steps > 1 << 32 or header.env_start + header.envs > 1 << 32 or header.stride > 1:
+        raise ValueError("it has steps or environments that a generator does not count")
+    usual = Streams.usual(header.envs, header.env_start)
+    env, begun = (
+        np.frombuffer(scanned.streams[name], dtype="<u4") if scanned.streams.get(name) else otherwise
+        for name, otherwise in zip(_STREAMS, (usual.env, usual.begun), strict=True)
+    )
+    if len(scanned.array) or not len(env) == len(begun) == header.envs:
+        raise ValueError("it has an array besides its generator, or streams of other environments than its own")
+    return generator.draw(Streams(env, begun), header.first_step, header.steps)
 
 
 def decode_fingerprints(data: bytes | memoryview) -> tuple[BlockHeader, NDArray[np.uint64]]:

@@ -36,9 +36,19 @@ def mix_in_place(word: NDArray[np.uint64], spare: NDArray[np.uint64]) -> None:
 
 
 def mix32(word: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Words mixed by MurmurHash3, shape and order as given; arithmetic wraps."""
+    """Words mixed by MurmurHash3, shape and order as given; arithmetic wraps. Also of arrays of JAX."""
     word = word ^ (word >> np.uint32(16))
     word = word * np.uint32(0x85EBCA6B)
     word = word ^ (word >> np.uint32(13))
     word = word * np.uint32(0xC2B2AE35)
     return word ^ (word >> np.uint32(16))
+
+
+def mix32_in_place(word: NDArray[np.uint32], spare: NDArray[np.uint32]) -> None:
+    """The same of arrays of numpy, without memory of its own: `spare` has the shape of `word` and is overwritten."""
+    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
+        np.right_shift(word, np.uint32(shift), out=spare)
+        np.bitwise_xor(word, spare, out=word)
+        np.multiply(word, np.uint32(factor), out=word)
+    np.right_shift(word, np.uint32(16), out=spare)
+    np.bitwise_xor(word, spare, out=word)

@@ -74,7 +74,7 @@ def parser() -> argparse.ArgumentParser:
         _EPILOG,
     )
     verbs = p.add_subparsers(dest="verb", required=True, metavar="VERB")
-    for verb, what in (("pack", "copies with packed states"), ("unpack", "copies with states as they are")):
+    for verb, what in (("pack", "copies with packed states"), ("unpack", "copies with states and actions as they are")):
         v = verbs.add_parser(verb, help=what, description=f"Write {what}; every copy is checked against its source.")
         v.add_argument("files", nargs="+", type=local_path, metavar="FILE", help="recordings, or folders of them")
         v.add_argument(

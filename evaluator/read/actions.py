@@ -1,16 +1,58 @@
-"""Recorded actions as arrays."""
+"""Recorded actions as arrays, and as what their digests are of: drawn again where a generator stands for them."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.read.messages import Messages
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import decode_action
+from gpusimbench.schemas.action_generator import GENERATOR, Generator, read_generator
+from gpusimbench.schemas.blocks import BlockHeader, decode_action, raw_action
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import ENV, StateField
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.treatment import alike
+
+_HASH_BYTES = 8  # that a file has for each step of each environment, whatever else it keeps of it
+
+_T = TypeVar("_T")
+
+
+class ActionContents:
+    """Blocks of actions of one file.
+
+    All that one object draws is of no more steps and environments than the file can hold state hashes of.
+    """
+
+    def __init__(self, container: Container) -> None:
+        self._container = container
+        self._room = container.content_bytes // _HASH_BYTES
+
+    def arrays(self, topic: str) -> Iterator[tuple[BlockHeader, NDArray[np.floating]]]:
+        """Headers and arrays [step, env, action] of a topic. DamagedRecording where a block cannot be read."""
+        return self._each(topic, lambda content, generator: decode_action(content, generator, most=self._room))
+
+    def digest(self, topic: str, digest: ContentDigest) -> None:
+        """Feed a topic's messages to a digest as if they held their arrays, so that it does not depend on whether they
+        do."""
+        for _, parts in self._each(topic, lambda content, generator: raw_action(content, generator, most=self._room)):
+            digest.message(topic, *parts)
+
+    def _each(
+        self, topic: str, read: Callable[[memoryview, Generator | None], tuple[BlockHeader, _T]]
+    ) -> Iterator[tuple[BlockHeader, _T]]:
+        described = self._container.channels[topic].metadata.get(GENERATOR)
+        generator = None if described is None else read_generator(described)
+        for content in self._container.in_sequence(topic):
+            header, found = read(content, generator)
+            if header.encoding:
+                self._room -= header.steps * header.envs
+            yield header, found
 
 
 def apart_by_design(actions: tuple[str, ...], fields: tuple[StateField, ...], configuration: RunConfiguration) -> str:
@@ -53,7 +95,8 @@ def read_actions(
         known = ", ".join(action_names(messages)) or "none"
         raise KeyError(f"{messages.path} has no actions {name}; it has: {known}")
     starts = sorted(found)
-    blocks = {start: _column(messages, found[start], start, first_step) for start in starts}
+    contents = ActionContents(messages.container)
+    blocks = {start: _column(messages, contents, found[start], start, first_step) for start in starts}
     if cut_short and not all(blocks.values()):
         return np.empty((0, n_env, 0))
     kinds = {(block.dtype, block.shape[2]) for rows in blocks.values() for block in rows}
@@ -69,13 +112,14 @@ def read_actions(
     return np.concatenate([np.concatenate(blocks[start])[:steps] for start in starts], axis=1)
 
 
-def _column(messages: Messages, topic: str, env_start: int, first_step: int) -> list[NDArray[np.floating]]:
+def _column(
+    messages: Messages, contents: ActionContents, topic: str, env_start: int, first_step: int
+) -> list[NDArray[np.floating]]:
     rows: list[NDArray[np.floating]] = []
     expected = first_step
-    for content in messages.contents(topic):
-        header, block = decode_action(content)
+    for header, block in contents.arrays(topic):
         if (header.first_step, header.env_start) != (expected, env_start) or header.stride > 1:
             raise messages.damaged(f"actions from step {expected} on are missing in {topic}")
-        rows.append(block.copy())  # a view would keep the whole chunk that it came from
+        rows.append(block if block.base is None else block.copy())  # a view would keep the whole chunk it came from
         expected += header.steps
     return rows

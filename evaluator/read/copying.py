@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gpusimbench.schemas import FORMAT, __version__, topics
+from gpusimbench.schemas.action_generator import GENERATOR, Generator, read_generator
+from gpusimbench.schemas.blocks import raw_action
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mcap.records import (
     MESSAGE_HEAD,
     Attachment,
     ChannelRecord,
+    Header,
     Metadata,
     Op,
     Record,
@@ -72,10 +75,16 @@ class Copier:
     compression  of the new file's chunks
     change       what becomes of blocks of states; everything else is copied byte for byte, but the schema of these
                  blocks, which may be older than what is written into them
+    draw         actions of which the source has the generator are written as arrays; it was verified
     """
 
-    def __init__(self, target: Target, source: Path, *, compression: str, change: Change | None = None) -> None:
-        self._writer = McapWriter(target.stream, profile=FORMAT, library=LIBRARY, compression=compression)
+    def __init__(
+        self, target: Target, source: Path, *, compression: str, change: Change | None = None, draw: bool = False
+    ) -> None:
+        profile = FORMAT if draw else _profile(source)
+        self._writer = McapWriter(target.stream, profile=profile, library=LIBRARY, compression=compression)
+        self._draw = draw
+        self._generators: dict[int, Generator] = {}  # by channel of the source
         self._source = source
         self._change = change
         self._schemas = {0: 0}  # new numbers by old ones; a channel of schema 0 has none
@@ -114,8 +123,12 @@ class Copier:
             return
         if channel.schema_id not in self._schemas:
             raise DamagedRecording(f"{self._source}: {channel.topic} is of schema {channel.schema_id}, not declared")
+        metadata = channel.metadata
+        if self._draw and GENERATOR in metadata and topics.parse_action(channel.topic):
+            self._generators[channel.id] = read_generator(metadata[GENERATOR])
+            metadata = {name: text for name, text in metadata.items() if name != GENERATOR}
         number = self._writer.channel(
-            channel.topic, self._schemas[channel.schema_id], channel.metadata, encoding=channel.message_encoding
+            channel.topic, self._schemas[channel.schema_id], metadata, encoding=channel.message_encoding
         )
         self._channels[channel.id] = number, channel.topic
 
@@ -129,8 +142,15 @@ class Copier:
         data: bytes | memoryview = content
         if self._change is not None and topics.parse_state(topic) is not None:
             data = self._change(content)
+        elif (generator := self._generators.get(channel)) is not None:
+            data = b"".join(raw_action(content, generator)[1])
         publish_time = MESSAGE_HEAD.unpack_from(record.content)[3]
         self._writer.message(number, data, log_time=log_time, publish_time=publish_time, sequence=sequence)
+
+
+def _profile(source: Path) -> str:
+    record = next(iter(Walk(MappedFile(source))), None)
+    return parse(Header, record.cursor(source)).profile if record and record.opcode == Op.HEADER else FORMAT
 
 
 def _described(record: Schema) -> bytes:

@@ -32,24 +32,25 @@ MAX_END_BYTES = 1 << 20
 class Messages:
     """Reads topics of one container.
 
-    path  of the file, for messages of errors
+    container
+    path       of the file, for messages of errors
     """
 
     def __init__(self, container: Container) -> None:
-        self._container = container
+        self.container = container
         self.path: Place = container.path
 
     def topics(self, prefix: str) -> Iterator[str]:
         """Topics that begin so, in order of appearance."""
-        return (topic for topic in self._container.channels if topic.startswith(prefix))
+        return (topic for topic in self.container.channels if topic.startswith(prefix))
 
     def has(self, topic: str) -> bool:
         """Whether the topic is declared."""
-        return topic in self._container.channels
+        return topic in self.container.channels
 
     def contents(self, topic: str) -> Iterator[memoryview]:
         """Contents of a topic's messages as they are, in the order in which they were written."""
-        return self._container.in_sequence(topic)
+        return self.container.in_sequence(topic)
 
     def read(self, topic: str, message: str, most: int = MAX_MESSAGES) -> list[Any]:
         """Messages of a topic, parsed; empty where it is not declared. DamagedRecording where they are more."""
@@ -62,7 +63,7 @@ class Messages:
 
     def each(self, topic: str, message: str) -> Iterator[Any]:
         """The same one after another, however many."""
-        room = _FREE_BYTES + _MOST_PER_BYTE * self._container.size
+        room = _FREE_BYTES + _MOST_PER_BYTE * self.container.size
         parse = message_class(message).FromString
         for content in self.contents(topic) if self.has(topic) else ():
             room -= len(content)
@@ -76,9 +77,9 @@ class Messages:
 
     def columns(self, topic: str, message: str, types: dict[int, tuple[str, str]]) -> Iterator[Columns]:
         """The messages of a topic as columns, some at a time; see evaluator.read.columns."""
-        room = _FREE_BYTES + _MOST_PER_BYTE * self._container.size
+        room = _FREE_BYTES + _MOST_PER_BYTE * self.container.size
         parse = partial(self.parse, message)
-        for contents in self._container.batches(topic) if self.has(topic) else ():
+        for contents in self.container.batches(topic) if self.has(topic) else ():
             sizes = [len(content) for content in contents]
             room -= sum(sizes)
             if room < 0 or max(sizes) > MAX_MESSAGE_BYTES:
@@ -102,4 +103,4 @@ class Messages:
     @property
     def content_bytes(self) -> int:
         """Upper bound of what the messages hold, decompressed."""
-        return self._container.content_bytes
+        return self.container.content_bytes

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.read.actions import action_names, apart_by_design, read_actions
+from gpusimbench.evaluator.read.actions import ActionContents, action_names, apart_by_design, read_actions
 from gpusimbench.evaluator.read.digests import digest_states
 from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
 from gpusimbench.evaluator.read.hardware import HardwareTrace, read_hardware
@@ -36,6 +36,7 @@ from gpusimbench.evaluator.read.streams import (
 )
 from gpusimbench.evaluator.read.varied import Factors, factors_of
 from gpusimbench.schemas import checks, topics
+from gpusimbench.schemas.action_generator import GENERATOR
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
@@ -293,8 +294,11 @@ class Recording:
         for steps, computed in digest_states(digest, arrays, self.configuration.n_env, hashed=hashes is not None):
             if hashes is not None:
                 self._check_hashes(hashes, steps, computed)
-        for topic in self._container.channels:
-            if topics.has_digest(topic):
+        actions = ActionContents(self._container)
+        for topic, channel in self._container.channels.items():
+            if GENERATOR in channel.metadata and topics.parse_action(topic):
+                actions.digest(topic, digest)
+            elif topics.has_digest(topic):
                 for contents in self._container.batches(topic):
                     digest.messages(topic, contents)
         return digest

@@ -41,17 +41,18 @@ def pack(source: Path, path: Path, *, level: int) -> Copied:
 
 
 def unpack(source: Path, path: Path) -> Copied:
-    """A copy with every block of states as the array that it is, chunks not compressed; checked as in `pack`."""
-    return _copy(source, path, unpack_state, compression="none")
+    """A copy with every block of states and actions as the array that it is, chunks not compressed; checked as in
+    `pack`. Versions that know no packed states and no generated actions read it."""
+    return _copy(source, path, unpack_state, compression="none", draw=True)
 
 
-def _copy(source: Path, path: Path, change: Change, *, compression: str) -> Copied:
+def _copy(source: Path, path: Path, change: Change, *, compression: str, draw: bool = False) -> Copied:
     recording = Recording(source)
     if not recording.content_hash:
         raise DataLost(_without_end(Container(source)))
     verify(recording)
     with new_file(path) as target:
-        copier = Copier(target, source, compression=compression, change=change)
+        copier = Copier(target, source, compression=compression, change=change, draw=draw)
         for record, _, _ in records_of(source):
             copier.add(record)
         copier.finish()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,47 +11,78 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import env_block
 from gpusimbench.recorder.capture.workers import Workers
-from gpusimbench.recorder.scenes.actions import JointTargets, Streams
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import action_parts
+from gpusimbench.schemas.action_generator import GENERATOR, JointTargets, Streams, describe_generator, expect
+from gpusimbench.schemas.blocks import action_parts, generated_action
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.mcap.writer import Part
 from gpusimbench.schemas.messages import message_class
 
-
-def declare_actions(sink: Sink, actions: JointTargets, *, n_env: int) -> None:
-    """The channels of a stream of actions."""
-    metadata = {
-        "shape": "step,env,joint",
-        "joints": ",".join(actions.joints),
-        "unit": actions.unit,
-        "dtype": "float32",
-        "meaning": actions.meaning,
-    }
-    for start in range(0, n_env, env_block(n_env)):
-        sink.channel(topics.action(actions.name, start), "gsb.v1.ActionBlock", metadata)
-
-
 Actions = Callable[[range], NDArray[np.float32]]
 """What is applied in consecutive steps to the environments of a range, [step, env, action]."""
 
+Told = Callable[[slice], NDArray[np.float32] | None]
+"""What an engine held in these steps; None where it does not tell."""
 
-def write_actions(
-    sink: Sink, workers: Workers, name: str, actions: Actions, *, n_env: int, first_step: int, dt: float
-) -> None:
-    """Actions of consecutive steps, the first of them leading on from the state of `first_step`."""
-    time = sim_time_ns(first_step, dt)
 
-    def encoded(envs: range) -> tuple[Part, ...]:
-        parts = action_parts(actions(envs), first_step=first_step, stride=1, env_start=envs.start, sim_time_ns=time)
-        sink.digest.message(topics.action(name, envs.start), *(part.data for part in parts))
-        return parts
+class ActionWriter:
+    """Writes the actions of the capture phase: as their generator, where that draws what the engine held, bit for bit.
 
-    size = env_block(n_env)
-    blocks = [range(start, min(start + size, n_env)) for start in range(0, n_env, size)]
-    for envs, parts in zip(blocks, workers.start(encoded, blocks), strict=True):
-        sink.write_parts(topics.action(name, envs.start), parts, sim_ns=time)
-    sink.flush()
+    Digests are of the arrays in either case.
+    """
+
+    def __init__(
+        self, sink: Sink, workers: Workers, actions: JointTargets, *, seed: int, streams: Streams, dt: float,
+        n_step: int,
+    ) -> None:  # fmt: skip
+        """streams  of all environments
+        n_step   how many steps will be written
+        """
+        self._sink = sink
+        self._workers = workers
+        self._name = actions.name
+        self._streams = streams
+        self._dt = dt
+        n_env, generator = len(streams.env), describe_generator(actions, seed)
+        self._generated = bool(generator)
+        if generator:
+            expect(n_step * n_env * len(actions.joints) * np.dtype(np.float32).itemsize)
+        size = env_block(n_env)
+        self._blocks = [range(start, min(start + size, n_env)) for start in range(0, n_env, size)]
+        metadata = {
+            "shape": "step,env,joint",
+            "joints": ",".join(actions.joints),
+            "unit": actions.unit,
+            "dtype": "float32",
+            "meaning": actions.meaning,
+            **({GENERATOR: generator} if generator else {}),
+        }
+        for envs in self._blocks:
+            sink.channel(topics.action(actions.name, envs.start), "gsb.v1.ActionBlock", metadata)
+
+    def write(self, drawn: Actions, told: Told, first_step: int) -> None:
+        """Actions of consecutive steps, the first of them leading on from the state of `first_step`."""
+        time = sim_time_ns(first_step, self._dt)
+
+        def encoded(envs: range) -> Sequence[Part]:
+            held = told(slice(envs.start, envs.stop))
+            array = drawn(envs) if held is None or self._generated else held
+            same = held is None or _same_bits(held, array)
+            if held is not None and not same:
+                array = held
+            parts = action_parts(array, first_step=first_step, stride=1, env_start=envs.start, sim_time_ns=time)
+            self._sink.digest.message(topics.action(self._name, envs.start), *(part.data for part in parts))
+            if self._generated and same:
+                return [Part(generated_action(parts, self._streams.of(envs), envs.start))]
+            return parts
+
+        for envs, parts in zip(self._blocks, self._workers.start(encoded, self._blocks), strict=True):
+            self._sink.write_parts(topics.action(self._name, envs.start), parts, sim_ns=time)
+        self._sink.flush()
+
+
+def _same_bits(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
+    return one.dtype == other.dtype and np.array_equal(one.view(np.uint32), other.view(np.uint32))
 
 
 def write_action_stream(

@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ from gpusimbench.schemas.writing import create, reopen
 
 class Sink:
     """Writes one recording.
+
+    profile      of the file, one of PROFILES; may be set before the first record is written
 
     path         final name; the file must not exist
     compression  a key of COMPRESSIONS
@@ -54,10 +57,13 @@ class Sink:
         self._channels: dict[str, int] = {}
         self._sequence: dict[str, int] = {}
         self._began_ns = time.perf_counter_ns()
-        with self._disk():
-            self._writer = McapWriter(
-                self._stream, profile=FORMAT, library=f"gpusimbench {__version__}", compression=compression
-            )
+        self._compression = compression
+        self.profile = FORMAT
+
+    @cached_property
+    def _writer(self) -> McapWriter:
+        library = f"gpusimbench {__version__}"
+        return McapWriter(self._stream, profile=self.profile, library=library, compression=self._compression)
 
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """A short list of texts for tools that show no more; never read back by the evaluator."""

@@ -31,6 +31,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
         from gpusimbench.recorder.run import initial, intervention, keep, teacher, vary
+        from gpusimbench.recorder.scenes.actions import table
         from gpusimbench.recorder.scenes.model.scene import ModelScene
         from gpusimbench.recorder.sets.given import read_given
         from gpusimbench.recorder.trials.tosses import read_tosses
@@ -63,7 +64,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         begins, given = read_given(begins, arguments.n_env if arguments.sweep is None else 1)
     steps = arguments.steps
     if steps is None:
-        given_rows = scene.actions.table() if scene.actions else None
+        given_rows = table(scene.actions) if scene.actions else None
         steps = round(scene.sample_time / dt) if given_rows is None else len(given_rows)
     warmup, timed_steps = scene.timed_window()
     configuration = RunConfiguration(
@@ -126,6 +127,7 @@ def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
     with shielded():
         from gpusimbench.recorder.plan import check
         from gpusimbench.recorder.run import intervention, keep, start, vary
+        from gpusimbench.recorder.scenes.actions import refusal as refusal_of
         from gpusimbench.recorder.simulators.registry import able, find_simulator
 
     check(configuration)
@@ -142,7 +144,7 @@ def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
     if refusal := adapter.refusal(simulator, scene, options):
         others = "" if scene.needs() <= adapter.abilities else ", ".join(able(scene))
         raise UsageError(f"{refusal}; simulators that can: {others}" if others else refusal)
-    if scene.actions and (refusal := scene.actions.refusal(configuration)):
+    if scene.actions and (refusal := refusal_of(scene.actions, configuration)):
         raise UsageError(refusal)
     keep.check(configuration, scene)
     if refusal := start.refusal(simulator, adapter, options, configuration.initial, configuration.snapshots):

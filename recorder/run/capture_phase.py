@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gpusimbench.recorder import interruption
-from gpusimbench.recorder.capture.actions import declare_actions, write_actions
+from gpusimbench.recorder.capture.actions import ActionWriter
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
 from gpusimbench.recorder.capture.kept import KeptStates
 from gpusimbench.recorder.capture.states import StateWriter, row_bytes
@@ -66,8 +63,15 @@ class CapturePhase:
             sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, first_step=c.first_step, view=view,
             may_fail=intervention.poisoned(c.n_env) if intervention else frozenset(),
         )  # fmt: skip
-        if simulator.scene.actions is not None:
-            declare_actions(sink, simulator.scene.actions, n_env=c.n_env)
+        begin_anew(simulator, c)
+        drawn = simulator.scene.actions
+        actions = (
+            None
+            if drawn is None
+            else ActionWriter(
+                sink, writer.workers, drawn, seed=c.seed, streams=simulator.streams, dt=c.dt, n_step=c.captured_steps
+            )
+        )
         counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1, workers=writer.workers)
         kept = (
             KeptStates(
@@ -89,17 +93,10 @@ class CapturePhase:
                 raise ValueError(
                     f"the simulator gave states up to step {writer.last_step}, then from {block.first_step} on"
                 )
-            drawn = block.actions
-            if drawn is not None and simulator.scene.actions is not None:
-                held = block.captured.actions
-
-                def applied(envs: range) -> NDArray[np.float32]:
-                    found = held(slice(envs.start, envs.stop))
-                    return drawn(envs) if found is None else found
-
-                name, first = simulator.scene.actions.name, block.first_step - 1
-                write_actions(sink, writer.workers, name, applied, n_env=c.n_env, first_step=first, dt=c.dt)
+            # before the actions: a file that is cut short has hashes of every step whose actions it has
             problem = writer.take(block.captured)
+            if block.actions is not None and actions is not None:
+                actions.write(block.actions, block.captured.actions, block.first_step - 1)
             if block.first_step > c.first_step:
                 self._journal.count(block.captured.evidence(), counted, block.first_step)
             if problem:
@@ -122,7 +119,6 @@ class CapturePhase:
             interruption.check()
             self._progress("capture", done, c.steps)
 
-        begin_anew(simulator, c)
         simulator.reserve(min(c.captured_steps, writer.steps_per_block))
         # until it has finished, the sink is its thread's
         writing = Writing(kept.keep if kept else write)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.actions import Actions, write_action_stream
 from gpusimbench.recorder.run.journal import Journal
-from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.simulators.base import Simulator
+from gpusimbench.schemas.action_generator import Streams
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.treatment import Intervention, drawn
 
@@ -61,9 +61,9 @@ def prepare(simulator: Simulator, configuration: RunConfiguration, first_step: i
         return None
 
     def of(envs: range) -> NDArray[np.float32]:
-        some = slice(envs.start, envs.stop)
-        streams = Streams(every.env[some], every.begun[some])
-        return actions.draw(configuration.seed, n_env=len(envs), first_step=first_step, n_step=n_step, streams=streams)
+        return actions.draw(
+            configuration.seed, n_env=len(envs), first_step=first_step, n_step=n_step, streams=every.of(envs)
+        )
 
     return of
 

@@ -45,7 +45,8 @@ from gpusimbench.recorder.scenes.registry import scene_of
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
-from gpusimbench.schemas import FORMAT, model_files, topics
+from gpusimbench.schemas import FORMAT, GENERATED, model_files, topics
+from gpusimbench.schemas.action_generator import describe_generator
 from gpusimbench.schemas.arrays import MEDIA_TYPE
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError
@@ -194,6 +195,9 @@ class Run:
                 software=describe_software(),
                 environment=numeric_environment(),
             )
+            captures = "capture" in configuration.phases and not configuration.keep
+            if captures and scene and scene.actions and describe_generator(scene.actions, configuration.seed):
+                sink.profile = GENERATED
             sink.metadata("gsb", _summary(provenance))
             sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
             sink.attach(PACKAGES, "text/plain", package_list().encode())

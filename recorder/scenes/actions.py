@@ -1,173 +1,15 @@
-"""Actions that every engine is given: a pure function of seed, environment and step."""
+"""Actions from a file instead of a generator, and what a run is told of either."""
 
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.schemas.action_generator import JointTargets, Streams
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.mixing import GOLDEN32, mix32
-
-GRID = 2.0**-13
-"""Angles of a robot's joints are whole multiples of this [rad]."""
-
-_WORD_BITS = 16  # of the random word that scales a range; a range of less than 2^16 steps keeps the product in 32 bits
-_RANGE_BITS = 15  # steps that a range is divided into, at most
-_MANTISSA_BITS = 24  # of a float32
-_SMALLEST = 2.0**-102  # whose last bit is a normal float32 still
-
-
-@dataclass(frozen=True)
-class Streams:
-    """The stream of actions that each environment is given, by two counters of the generator.
-
-    env    the environment whose actions it is given, uint32 [env]
-    begun  the step with which its actions begin anew, as if it were step 0, uint32 [env]; 0: they never do
-    """
-
-    env: NDArray[np.uint32]
-    begun: NDArray[np.uint32]
-
-    @classmethod
-    def usual(cls, n_env: int) -> Streams:
-        """Every environment is given its own actions, which never begin anew."""
-        return cls(np.arange(n_env, dtype=np.uint32), np.zeros(n_env, dtype=np.uint32))
-
-    def steps(self, first_step: int, n_step: int) -> NDArray[np.uint32]:
-        """The generator's step of each step and environment, [step, env]."""
-        steps = np.arange(first_step, first_step + n_step, dtype=np.uint32)[:, None]
-        return np.where(steps >= self.begun, steps - self.begun, steps)
-
-    def describe(self) -> dict[str, Any]:
-        """What differs from the usual: by how many places environments are shifted, and with which steps actions begin
-        anew. Empty where nothing does."""
-        shift = int(self.env[0]) if self.env.size else 0
-        begun = sorted({int(step) for step in self.begun} - {0})
-        return {**({"shift": shift} if shift else {}), **({"begun": begun} if begun else {})}
-
-
-@dataclass(frozen=True)
-class JointTargets:
-    """A target position for each joint at each step, uniform within its limits (to within its grid).
-
-    Targets are whole multiples of a power of two, the joint's grid: every float32 operation that makes one is exact,
-    whatever device does it and whether or not it fuses a multiplication with an addition.
-
-    The generator is counter-based, in 32-bit wrapping integers, so that any step of any environment can be made
-    anywhere, in any order, on any device:
-
-        w = mix(seed_low + G);  w = mix(w + seed_high + G)
-        w = mix(w + (env + 1) * G);  w = mix(w + (step + 1) * G);  w = mix(w + (joint + 1) * G)
-        target = (first[joint] + ((w >> 16) * count[joint] >> 16)) * grid[joint]
-
-    with mix the finaliser of MurmurHash3 and G = 0x9E3779B9 (``schemas.mixing``). Where an environment began in the
-    initial state of another slot, or was reset, env and step are those of Streams.
-
-    name          of the topic
-    joints        names, in the robot's order
-    lower, upper  limits [unit]
-    unit          of the targets
-    meaning       what an engine does with them
-    """
-
-    unit: ClassVar[str] = "rad"
-    meaning: ClassVar[str] = "target position of each joint, held during the step"
-
-    name: str
-    joints: tuple[str, ...]
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-
-    def _grids(self) -> tuple[float, ...]:
-        return (GRID,) * len(self.joints)
-
-    def grid(self) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.float32]]:
-        """`first`, `count` and `grid` for each joint: the targets are grid times first .. first + count - 1."""
-        grids = self._grids()
-        first = np.array([math.ceil(x / grid) for x, grid in zip(self.lower, grids, strict=True)], dtype=np.int32)
-        last = np.array([math.floor(x / grid) for x, grid in zip(self.upper, grids, strict=True)], dtype=np.int32)
-        return first, (last - first + 1).astype(np.uint32), np.array(grids, dtype=np.float32)
-
-    def seed_word(self, seed: int) -> int:
-        """The word that `seed` begins the chain with, for generators on a device."""
-        low, high = seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF
-        golden = np.uint32(GOLDEN32)
-        word = mix32(np.array([low], dtype=np.uint32) + golden)
-        return int(mix32(word + np.uint32(high) + golden)[0])
-
-    def draw(
-        self, seed: int, *, n_env: int, first_step: int, n_step: int, streams: Streams | None = None
-    ) -> NDArray[np.float32]:
-        """Targets [rad], shape [step, env, joint], of n_env environments; row i leads from the state of step
-        first_step + i to the next.
-
-        streams  of these environments; None: each is given its own
-        """
-        given = Streams.usual(n_env) if streams is None else streams
-        golden, one = np.uint32(GOLDEN32), np.uint32(1)
-        word = np.array([[[self.seed_word(seed)]]], dtype=np.uint32)
-        for counter in (
-            given.env[None, :, None],
-            given.steps(first_step, n_step)[:, :, None],
-            np.arange(len(self.joints), dtype=np.uint32)[None, None, :],
-        ):
-            word = mix32(word + (counter + one) * golden)
-        first, count, grid = self.grid()
-        index = (word >> np.uint32(32 - _WORD_BITS)) * count >> np.uint32(_WORD_BITS)
-        return (first + index.astype(np.int32)).astype(np.float32) * grid
-
-    def table(self) -> NDArray[np.float32] | None:
-        """Actions that were given and are not drawn, [step, env or 1, action], to be used row after row, and from the
-        first on again after the last; None where they are drawn."""
-        return None
-
-    def refusal(self, run: RunConfiguration) -> str:
-        """Why a run cannot be given these actions; empty where it can."""
-        return ""
-
-    def describe(self, seed: int, streams: Streams) -> str:
-        """The generator with all that it depends on (JSON)."""
-        return json.dumps({"generator": "murmur3-fmix32-grid13", **self._known(seed), **streams.describe()})
-
-    def _known(self, seed: int) -> dict[str, Any]:
-        return {"name": self.name, "seed": seed, "joints": self.joints, "lower": self.lower, "upper": self.upper}
-
-
-@dataclass(frozen=True)
-class Controls(JointTargets):
-    """A number for each actuator of a model at each step, whatever the actuator makes of it.
-
-    joints        names of the actuators
-    lower, upper  limits, which are float32; where both are the same, the number is that
-    grids         of each actuator, as of grid_of
-    """
-
-    unit = "of the actuator"
-    meaning = "control of each actuator, held during the step"
-
-    grids: tuple[float, ...]
-
-    @classmethod
-    def within(cls, name: str, ranges: Mapping[str, tuple[float, float]]) -> Controls:
-        """Numbers within these ranges, by the names of the actuators; ValueError for a range that is none."""
-        found = [(_number(low), _number(high)) for low, high in ranges.values()]
-        grids = tuple(grid_of(low, high) for low, high in found)
-        lower, upper = tuple(low for low, _ in found), tuple(high for _, high in found)
-        return cls(name, tuple(ranges), lower, upper, grids)
-
-    def _grids(self) -> tuple[float, ...]:
-        return self.grids
-
-    def describe(self, seed: int, streams: Streams) -> str:
-        """See JointTargets.describe."""
-        known = {"generator": "murmur3-fmix32", **self._known(seed), "grids": self.grids}
-        return json.dumps({**known, **streams.describe()})
 
 
 @dataclass(frozen=True)
@@ -188,10 +30,6 @@ class GivenControls(JointTargets):
     sha256: str
     rows: NDArray[np.float32] = field(repr=False, compare=False, metadata={"described": False})
 
-    def table(self) -> NDArray[np.float32]:
-        """See JointTargets.table."""
-        return self.rows
-
     def draw(
         self, seed: int, *, n_env: int, first_step: int, n_step: int, streams: Streams | None = None
     ) -> NDArray[np.float32]:
@@ -200,15 +38,6 @@ class GivenControls(JointTargets):
         steps = given.steps(first_step, n_step) % np.uint32(len(self.rows))
         return np.ascontiguousarray(self.rows[steps, given.env % np.uint32(self.rows.shape[1])])
 
-    def refusal(self, run: RunConfiguration) -> str:
-        """See JointTargets.refusal."""
-        steps, envs = self.rows.shape[:2]
-        if self.each and envs != run.n_env:
-            return f"the file of actions has controls of {envs} environments, and --n-env is {run.n_env}"
-        if "capture" in run.phases and run.steps > steps:
-            return f"the file of actions has controls of {steps} steps, fewer than --steps, {run.steps}"
-        return ""
-
     def describe(self, seed: int, streams: Streams) -> str:
         """See JointTargets.describe."""
         steps, envs = self.rows.shape[:2]
@@ -216,20 +45,19 @@ class GivenControls(JointTargets):
         return json.dumps({"generator": "file", **about, **streams.describe()})
 
 
-def _number(value: float) -> float:
-    # in float32, of which what is too small for 24 bits is zero
-    return float(np.float32(value)) if abs(value) >= _SMALLEST else 0.0
+def table(actions: JointTargets) -> NDArray[np.float32] | None:
+    """Actions that were given and are not drawn, [step, env or 1, action], to be used row after row, and from the first
+    on again after the last; None where they are drawn."""
+    return actions.rows if isinstance(actions, GivenControls) else None
 
 
-def grid_of(lower: float, upper: float) -> float:
-    """The finest power of two that divides a range into at most 2^15 steps, and of which the multiples within the range
-    are float32. ValueError for a range that is none."""
-    if not (math.isfinite(lower) and math.isfinite(upper) and lower <= upper):
-        raise ValueError(f"{lower} to {upper} is no range")
-    largest = max(abs(lower), abs(upper))
-    if largest == 0:
-        return GRID
-    exponent = math.frexp(largest)[1] - _MANTISSA_BITS
-    if lower < upper:
-        exponent = max(exponent, math.ceil(math.log2((upper - lower) / 2**_RANGE_BITS)))
-    return 2.0**exponent
+def refusal(actions: JointTargets, run: RunConfiguration) -> str:
+    """Why a run cannot be given these actions; empty where it can."""
+    if not isinstance(actions, GivenControls):
+        return ""
+    steps, envs = actions.rows.shape[:2]
+    if actions.each and envs != run.n_env:
+        return f"the file of actions has controls of {envs} environments, and --n-env is {run.n_env}"
+    if "capture" in run.phases and run.steps > steps:
+        return f"the file of actions has controls of {steps} steps, fewer than --steps, {run.steps}"
+    return ""

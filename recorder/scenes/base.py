@@ -16,8 +16,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from gpusimbench.recorder.abilities import Ability
-from gpusimbench.recorder.scenes.actions import JointTargets
 from gpusimbench.recorder.scenes.loop import FourBar, Loop
+from gpusimbench.schemas.action_generator import JointTargets
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

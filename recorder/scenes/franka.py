@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 
-from gpusimbench.recorder.scenes.actions import JointTargets
 from gpusimbench.recorder.scenes.base import (
     IDENTITY,
     Box,
@@ -29,6 +28,7 @@ from gpusimbench.recorder.scenes.base import (
     Shape,
     Vector,
 )
+from gpusimbench.schemas.action_generator import JointTargets
 
 SHELL = Material("robot shell", static_friction=0.6, kinetic_friction=0.5, restitution=0.0)
 

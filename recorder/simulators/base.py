@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import Ability, listed, titles
 from gpusimbench.recorder.options import names_of, parse_options
-from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.flight import Flight, HostFlight, Watch
 from gpusimbench.recorder.simulators.snapshot import Envs, Extent, Snapshot, StateClaims
+from gpusimbench.schemas.action_generator import Streams
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import EngineFacts, Simulation

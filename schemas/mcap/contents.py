@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import repeat
 
-from gpusimbench.schemas import FORMAT
+from gpusimbench.schemas import FORMAT, PROFILES
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.mcap.chunks import Chunks
@@ -336,11 +336,12 @@ class Contents:
 
     def _take_header(self, record: Record) -> None:
         header = parse(Header, record.cursor(self.place))
-        if header.profile.startswith(f"{FORMAT.partition('.')[0]}.") and header.profile != FORMAT:
+        if header.profile not in PROFILES and header.profile.startswith(f"{FORMAT.partition('.')[0]}."):
             raise NotARecording(
-                f"{self.place} has format {header.profile}, this version reads {FORMAT}: update gpusimbench"
+                f"{self.place} has format {header.profile}, this version reads {' and '.join(PROFILES)}: "
+                "update gpusimbench"
             )
-        if header.profile != FORMAT:
+        if header.profile not in PROFILES:
             raise NotARecording(
                 f"{self.place} is an MCAP file, but not a recording of a simulator (profile '{header.profile}', not "
                 f"'{FORMAT}')"

@@ -88,9 +88,14 @@ def _footer(summary: bytes, begin: int) -> bytes:
 
 
 def rewritten(
-    source: Path, target: Path, change: Callable[[Messages], Iterable[Any]], encoding: str = "protobuf"
+    source: Path,
+    target: Path,
+    change: Callable[[Messages], Iterable[Any]],
+    encoding: str = "protobuf",
+    metadata: Callable[[dict[str, str]], dict[str, str]] = dict,
 ) -> Path:
-    """Written again by the official library, which makes all CRCs and indexes right, with other messages."""
+    """Written again by the official library, which makes all CRCs and indexes right, with other messages, and other
+    metadata of channels."""
     with source.open("rb") as stream, target.open("wb") as out:
         reader = make_reader(stream)
         writer = Writer(out, compression=CompressionType.NONE, enable_data_crcs=True)
@@ -103,7 +108,9 @@ def rewritten(
             assert schema is not None
             if channel.topic not in channels:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(channel.topic, encoding, number, channel.metadata)
+                channels[channel.topic] = writer.register_channel(
+                    channel.topic, encoding, number, metadata(channel.metadata)
+                )
             messages.append((channel.topic, message.sequence, message.log_time, message.data))
         for topic, sequence, log_time, content in change(messages):
             writer.add_message(channels[topic], log_time, content, 0, sequence)

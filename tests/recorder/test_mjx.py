@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.run.vary import refusal, variation
-from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.action_generator import Streams
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import run_python
 from tests.recorder.engines import PAIR, bits, build, counts, cubes, make

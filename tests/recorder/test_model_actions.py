@@ -13,10 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.scenes.actions import Controls, JointTargets, Streams
 from gpusimbench.recorder.scenes.model.controls_file import packed
 from gpusimbench.recorder.scenes.model.scene import model_scene
 from gpusimbench.schemas import arrays
+from gpusimbench.schemas.action_generator import Controls, JointTargets, Streams
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.model_files import MODEL, pack

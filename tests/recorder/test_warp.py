@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from gpusimbench import open_recording
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.run.vary import variation
-from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.recorder.simulators.warp.worlds import model_fields
+from gpusimbench.schemas.action_generator import Streams
 from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import Command
 from tests.recorder import engines

@@ -32,7 +32,7 @@ _WIRE = {
     },
     "ActionBlock": {
         "first_step": 1, "steps": 2, "stride": 3, "env_start": 4, "envs": 5, "width": 6, "sim_time_ns": 7,
-        "crc32": 8, "data": 9, "data64": 10,
+        "crc32": 8, "data": 9, "data64": 10, "encoding": 11, "stream_env": 12, "stream_begun": 13,
     },
     "StepTiming": {"first_step": 1, "steps_per_interval": 2, "start_ns": 3, "end_ns": 4},
     "MemorySample": {

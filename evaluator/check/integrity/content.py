@@ -10,6 +10,7 @@ from typing import Any
 
 from gpusimbench.evaluator.check.integrity.problem import Kind, Problems, without_path
 from gpusimbench.evaluator.check.integrity.scan import Scan
+from gpusimbench.evaluator.read.actions import ActionContents
 from gpusimbench.evaluator.read.messages import MAX_END_BYTES, Messages
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.read.streams import Fingerprints, read_fingerprints
@@ -70,7 +71,7 @@ def check_content(
     except RecordingError as error:
         reason = without_path(error, path)
         states = [name for name in claimed if name.startswith(_STATE)]
-        moved = [stream.topic for stream in scan.streams.values() if not stream.in_order]
+        moved = [s.topic for s in scan.streams.values() if s.generated or not s.in_order]
         lost = dict.fromkeys([*states, *moved], reason)
         problems.skip(reason, Kind.state_hash)
     else:
@@ -109,15 +110,19 @@ def _check_states_alone(
 
 
 def _reordered(container: Container, scan: Scan, lost: dict[str, str]) -> dict[str, str]:
-    # another tool may have written messages in another order; a digest follows their numbers
+    # another tool may have written messages in another order; a digest follows their numbers, and is of drawn actions
     found: dict[str, str] = {}
+    actions = ActionContents(container)
     for topic, stream in scan.streams.items():
-        if stream.in_order or not topics.has_digest(topic):
+        if (stream.in_order and not stream.generated) or not topics.has_digest(topic):
             continue
         digest = ContentDigest()
         try:
-            for content in container.in_sequence(topic):
-                digest.message(topic, content)
+            if stream.generated:
+                actions.digest(topic, digest)
+            else:
+                for content in container.in_sequence(topic):
+                    digest.message(topic, content)
         except RecordingError as error:
             lost[topic] = without_path(error, container.path)
         else:

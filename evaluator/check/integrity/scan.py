@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.check.integrity.problem import Kind, Problems, without_path
 from gpusimbench.schemas import topics
+from gpusimbench.schemas.action_generator import GENERATOR
 from gpusimbench.schemas.blocks import state_header
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.errors import DamagedRecording
@@ -56,10 +57,12 @@ class Stream:
     in_order   whether that is their own
     bytes      of its messages' contents
     encodings  numbers of the encodings of state blocks
+    generated  its channel names a generator, which may draw what the messages do not hold
     """
 
     topic: str
     message: str
+    generated: bool = False
     sequences: array[int] = field(default_factory=lambda: array("I"))
     in_order: bool = True
     bytes: int = 0
@@ -68,7 +71,7 @@ class Stream:
     @cached_property
     def digested(self) -> bool:
         """Whether the end record has a digest of its messages as they are."""
-        return topics.has_digest(self.topic)
+        return topics.has_digest(self.topic) and not self.generated
 
 
 @dataclass
@@ -214,7 +217,8 @@ class _Scanner:
                 f"{channel.topic} has messages in {channel.message_encoding!r} and a schema in {schema.encoding!r}, "
                 "not in protobuf",
             )
-        self._found.streams.setdefault(channel.topic, Stream(channel.topic, schema.name if schema else ""))
+        generated = GENERATOR in channel.metadata and topics.parse_action(channel.topic) is not None
+        self._found.streams.setdefault(channel.topic, Stream(channel.topic, schema.name if schema else "", generated))
 
     def _message(self, record: Record) -> tuple[int, int] | None:
         # channel and time

@@ -6,7 +6,7 @@ import numpy as np
 
 from gpusimbench.recorder.conformance.subject import SEED, Subject
 from gpusimbench.recorder.conformance.verdict import NotApplicable, expect
-from gpusimbench.recorder.scenes.actions import Streams
+from gpusimbench.schemas.action_generator import Streams
 
 _BLOCKS = (3, 2)
 _ENVS = 2

@@ -6,8 +6,8 @@ import hashlib
 from dataclasses import dataclass
 from typing import Any
 
-from gpusimbench.recorder.scenes.actions import Controls, JointTargets
 from gpusimbench.recorder.scenes.model.controls_file import controls_from
+from gpusimbench.schemas.action_generator import Controls, JointTargets
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.treatment import FromFile

@@ -1,4 +1,4 @@
-"""Action streams made on the device, bit for bit what ``recorder.scenes.actions`` draws on the host."""
+"""Action streams made on the device, bit for bit what ``schemas.action_generator`` draws on the host."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.recorder.scenes.actions import JointTargets
+from gpusimbench.recorder.scenes.actions import table
+from gpusimbench.schemas.action_generator import JointTargets
 from gpusimbench.schemas.mixing import GOLDEN32, mix32
 
 
@@ -20,7 +21,7 @@ def device_draw(actions: JointTargets, *, seed: int) -> Callable[[Any, Any, Any]
     """
     import jax.numpy as jnp
 
-    rows = actions.table()
+    rows = table(actions)
     if rows is not None:
         given = jnp.asarray(rows)
         steps, envs = np.uint32(rows.shape[0]), np.uint32(rows.shape[1])

@@ -11,12 +11,12 @@ from dataclasses import fields
 from typing import Any
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
 from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 from gpusimbench.recorder.simulators.warp.actions import DeviceActions
+from gpusimbench.schemas.action_generator import Streams
 
 
 class ModelControls:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.options import names_of, parse_options
-from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
@@ -32,6 +31,7 @@ from gpusimbench.recorder.simulators.newton.steps import BLOCK, Steps
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
+from gpusimbench.schemas.action_generator import Streams
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation

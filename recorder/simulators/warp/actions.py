@@ -1,10 +1,11 @@
-"""A scene's actions, drawn or copied on the device step by step, bit for bit what ``recorder.scenes.actions`` gives."""
+"""A scene's actions, drawn or copied on the device step by step, bit for bit those of ``schemas.action_generator``."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from gpusimbench.recorder.scenes.actions import JointTargets, Streams
+from gpusimbench.recorder.scenes.actions import table
+from gpusimbench.schemas.action_generator import JointTargets, Streams
 
 
 class DeviceActions:
@@ -19,8 +20,8 @@ class DeviceActions:
 
         self.step = wp.zeros(1, dtype=wp.int32)
         self._streams = [wp.array(a, dtype=wp.uint32) for a in (streams.env, streams.begun)]
-        table = actions.table()
-        self._rows = None if table is None else wp.array(table, dtype=wp.float32)
+        rows = table(actions)
+        self._rows = None if rows is None else wp.array(rows, dtype=wp.float32)
         if self._rows is not None:
             return
         kinds = (wp.int32, wp.uint32, wp.float32)

@@ -33,8 +33,8 @@ def draw_targets(
     grid: wp.array(dtype=float),
     ctrl: wp.array2d(dtype=float),
 ):
-    """The targets of recorder.scenes.actions.JointTargets at step step[0], into ctrl [env, joint], by the two arrays of
-    the environments' Streams."""
+    """The targets of schemas.action_generator.JointTargets at step step[0], into ctrl [env, joint], by the two arrays
+    of the environments' Streams."""
     env, joint = wp.tid()
     word = mix32(seed_word + (stream[env] + wp.uint32(1)) * _GOLDEN)
     now = wp.uint32(step[0])
