@@ -25,6 +25,7 @@ from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.schemas.action_generator import GENERATOR, Streams
 from gpusimbench.schemas.digest import ContentDigest
+from gpusimbench.schemas.errors import NotARecording
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import message_class
 from tests.conftest import Command, call
@@ -70,6 +71,14 @@ def test_arrays_have_the_same_identity(arms: Path, tmp_path: Path) -> None:
     packed = pack(arms, tmp_path / "packed.mcap", level=1).path
     assert (_profile(packed), open_recording(packed).content_hash) == ("gsb.v1.1", before.content_hash)
     assert len(call("gsb-check", raw, packed, code=0).stdout) > 0
+
+
+def test_other_formats_are_refused_by_name(arms: Path, tmp_path: Path) -> None:
+    """Refuse a format that is not known as versions before this one refuse that of generated actions."""
+    later = tmp_path / "later.mcap"
+    later.write_bytes(arms.read_bytes().replace(b"gsb.v1.1", b"gsb.v1.2", 1))
+    with pytest.raises(NotARecording, match=r"has format gsb.v1.2, this version reads gsb.v1 and gsb.v1.1: update"):
+        open_recording(later)
 
 
 def test_a_replay_is_judged_alike(arms: Path, tmp_path: Path) -> None:
