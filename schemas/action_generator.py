@@ -272,7 +272,7 @@ def read_generator(text: str) -> Generator:
         actions = Controls(name, joints, lower, upper, grids)
     for low, high, grid in zip(lower, upper, actions.grids_of(), strict=True):
         # what the generator's words of 32 bits hold, and a float32
-        if not (2.0**-126 <= grid <= 2.0**127 and max(abs(low), abs(high)) <= grid * 2.0**30):
+        if not (2.0**-126 <= grid <= 2.0**127 and max(abs(low), abs(high)) <= min(grid * 2.0**30, 2.0**127)):
             raise DamagedRecording(f"a generator has the range {low:g} to {high:g} in steps of {grid:g}")
         if not 0 <= math.floor(high / grid) - math.ceil(low / grid) < 2**_WORD_BITS:
             raise DamagedRecording(f"a generator has the range {low:g} to {high:g} in steps of {grid:g}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -14,6 +15,7 @@ from gpusimbench.schemas.action_generator import GENERATOR, Generator, read_gene
 from gpusimbench.schemas.blocks import BlockHeader, decode_action, raw_action
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.digest import ContentDigest
+from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import ENV, StateField
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.treatment import alike
@@ -21,6 +23,7 @@ from gpusimbench.schemas.treatment import alike
 _HASH_BYTES = 8  # that a file has for each step of each environment, whatever else it keeps of it
 
 _T = TypeVar("_T")
+_Block = NDArray[np.floating]  # [step, env, action]
 
 
 class ActionContents:
@@ -47,12 +50,18 @@ class ActionContents:
         self, topic: str, read: Callable[[memoryview, Generator | None], tuple[BlockHeader, _T]]
     ) -> Iterator[tuple[BlockHeader, _T]]:
         described = self._container.channels[topic].metadata.get(GENERATOR)
-        generator = None if described is None else read_generator(described)
+        generator = None if described is None else self._named(topic, lambda: read_generator(described))
         for content in self._container.in_sequence(topic):
-            header, found = read(content, generator)
+            header, found = self._named(topic, partial(read, content, generator))
             if header.encoding:
                 self._room -= header.steps * header.envs
             yield header, found
+
+    def _named(self, topic: str, read: Callable[[], _T]) -> _T:
+        try:
+            return read()
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{self._container.path}: {topic}: {error}") from None
 
 
 def apart_by_design(actions: tuple[str, ...], fields: tuple[StateField, ...], configuration: RunConfiguration) -> str:
@@ -90,36 +99,60 @@ def read_actions(
 
     KeyError names the recorded streams. DamagedRecording where steps or environments are missing.
     """
+
+    def kept(block: NDArray[np.floating]) -> NDArray[np.floating]:
+        return block if block.base is None else block.copy()  # a view would keep the whole chunk that it came from
+
+    columns = _columns(messages, name, kept, n_env=n_env, first_step=first_step, cut_short=cut_short)
+    if not columns:
+        return np.empty((0, n_env, 0))
+    steps = min(sum(map(len, rows)) for rows in columns)
+    return np.concatenate([np.concatenate(rows)[:steps] for rows in columns], axis=1)
+
+
+def check_actions(messages: Messages, name: str, *, n_env: int, first_step: int, cut_short: bool) -> None:
+    """Read and check a stream of actions as `read_actions` does, a block at a time: nothing of its size is held."""
+
+    def of_its_shape(block: NDArray[np.floating]) -> NDArray[np.floating]:
+        return np.broadcast_to(np.zeros((), block.dtype), block.shape)
+
+    _columns(messages, name, of_its_shape, n_env=n_env, first_step=first_step, cut_short=cut_short)
+
+
+def _columns(
+    messages: Messages, name: str, kept: Callable[[_Block], _Block], *, n_env: int, first_step: int, cut_short: bool
+) -> list[list[_Block]]:
+    # what is kept of the blocks, by range of environments; none where no step is there of all environments
     found = {p.env_start: t for t in messages.topics("/action/") if (p := topics.parse_action(t)) and p.name == name}
     if not found:
         known = ", ".join(action_names(messages)) or "none"
         raise KeyError(f"{messages.path} has no actions {name}; it has: {known}")
     starts = sorted(found)
     contents = ActionContents(messages.container)
-    blocks = {start: _column(messages, contents, found[start], start, first_step) for start in starts}
+    blocks = {start: _column(messages, contents, found[start], start, first_step, kept) for start in starts}
     if cut_short and not all(blocks.values()):
-        return np.empty((0, n_env, 0))
+        return []
     kinds = {(block.dtype, block.shape[2]) for rows in blocks.values() for block in rows}
     if not kinds:
-        return np.empty((0, n_env, 0))
+        return []
     counts = {start: sum(len(block) for block in rows) for start, rows in blocks.items()}
     if len(kinds) > 1 or (len(set(counts.values())) > 1 and not cut_short):
         raise messages.damaged(f"the actions {name} are of different kinds, or of different numbers of steps")
     for start, stop in zip(starts, [*starts[1:], n_env], strict=True):
         if starts[0] or any(block.shape[1] != stop - start for block in blocks[start]):
             raise messages.damaged(f"the actions {name} are not there once for every environment")
-    steps = min(counts.values())
-    return np.concatenate([np.concatenate(blocks[start])[:steps] for start in starts], axis=1)
+    return [blocks[start] for start in starts]
 
 
 def _column(
-    messages: Messages, contents: ActionContents, topic: str, env_start: int, first_step: int
-) -> list[NDArray[np.floating]]:
-    rows: list[NDArray[np.floating]] = []
+    messages: Messages, contents: ActionContents, topic: str, env_start: int, first_step: int,
+    kept: Callable[[_Block], _Block],
+) -> list[_Block]:  # fmt: skip
+    rows: list[_Block] = []
     expected = first_step
     for header, block in contents.arrays(topic):
         if (header.first_step, header.env_start) != (expected, env_start) or header.stride > 1:
             raise messages.damaged(f"actions from step {expected} on are missing in {topic}")
-        rows.append(block if block.base is None else block.copy())  # a view would keep the whole chunk it came from
+        rows.append(kept(block))
         expected += header.steps
     return rows

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.read.actions import ActionContents, action_names, apart_by_design, read_actions
+from gpusimbench.evaluator.read.actions import (
+    ActionContents,
+    action_names,
+    apart_by_design,
+    check_actions,
+    read_actions,
+)
 from gpusimbench.evaluator.read.digests import digest_states
 from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
 from gpusimbench.evaluator.read.hardware import HardwareTrace, read_hardware
@@ -141,11 +147,16 @@ class Recording:
 
         KeyError names the recorded ones.
         """
-        cut_short = self.status == "incomplete"
-        return read_actions(
-            self._messages, name, n_env=self.configuration.n_env, first_step=self.configuration.first_step,
-            cut_short=cut_short,
-        )  # fmt: skip
+        return read_actions(self._messages, name, **self._capture)
+
+    def check_actions(self, name: str) -> None:
+        """Check an action stream as `actions` does, a block at a time."""
+        check_actions(self._messages, name, **self._capture)
+
+    @property
+    def _capture(self) -> dict[str, Any]:
+        c = self.configuration
+        return {"n_env": c.n_env, "first_step": c.first_step, "cut_short": self.status == "incomplete"}
 
     @cached_property
     def timing(self) -> dict[str, StepTiming]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.read.actions import ActionContents
+from gpusimbench.evaluator.read.actions import ActionContents, check_actions, read_actions
+from gpusimbench.evaluator.read.messages import Messages as Reader
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.evaluator.share.pack import pack, unpack
 from gpusimbench.evaluator.share.recover import recover
@@ -23,6 +25,7 @@ from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.schemas.action_generator import GENERATOR, Streams
 from gpusimbench.schemas.digest import ContentDigest
+from gpusimbench.schemas.errors import NotARecording
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import message_class
 from tests.conftest import Command, call
@@ -68,6 +71,14 @@ def test_arrays_have_the_same_identity(arms: Path, tmp_path: Path) -> None:
     packed = pack(arms, tmp_path / "packed.mcap", level=1).path
     assert (_profile(packed), open_recording(packed).content_hash) == ("gsb.v1.1", before.content_hash)
     assert len(call("gsb-check", raw, packed, code=0).stdout) > 0
+
+
+def test_other_formats_are_refused_by_name(arms: Path, tmp_path: Path) -> None:
+    """Refuse a format that is not known as versions before this one refuse that of generated actions."""
+    later = tmp_path / "later.mcap"
+    later.write_bytes(arms.read_bytes().replace(b"gsb.v1.1", b"gsb.v1.2", 1))
+    with pytest.raises(NotARecording, match=r"has format gsb.v1.2, this version reads gsb.v1 and gsb.v1.1: update"):
+        open_recording(later)
 
 
 def test_a_replay_is_judged_alike(arms: Path, tmp_path: Path) -> None:
@@ -159,7 +170,31 @@ def test_what_was_changed_is_reported(
     path = rewritten(arms, tmp_path / "changed.mcap", messages, metadata=metadata)
     for done in (call("gsb-check", path), gsb_eval(path)):
         assert done.returncode not in (0, 2)
-        assert said in " ".join((done.stdout + done.stderr).split())
+        told = " ".join((done.stdout + done.stderr).split())
+        assert said in told
+        assert "changed.mcap" in told
+
+
+def test_a_check_holds_no_arrays(tmp_path: Path) -> None:
+    """Check actions a block at a time: a file may have the generator of many times its size of them."""
+    streams, steps, n_env = Streams.usual(512), 50, 512
+    sink = Sink(tmp_path / "run.mcap", compression="none")
+    sink.attach("padding", "application/octet-stream", bytes(9 << 20))  # in place of states and their hashes
+    assert _ACTIONS is not None
+    writer = ActionWriter(sink, Workers(alone=True), _ACTIONS, seed=0, streams=streams, dt=0.01, n_step=20 * steps)
+    for first in range(0, 20 * steps, steps):
+        held = _ACTIONS.draw(0, n_env=n_env, first_step=first, n_step=steps)
+        writer.write(lambda envs, held=held: held[:, envs.start : envs.stop], lambda _: None, first)  # type: ignore[misc]
+    sink.finish("COMPLETE", "", last_step=1000, peak_rss_bytes=1)
+    messages = Reader(Container(sink.path))
+    tracemalloc.start()
+    check_actions(messages, _NAME, n_env=n_env, first_step=0, cut_short=False)
+    _, checked = tracemalloc.get_traced_memory()
+    found = read_actions(messages, _NAME, n_env=n_env, first_step=0, cut_short=False)
+    tracemalloc.stop()
+    assert found.shape == (1000, n_env, 7)
+    assert checked < found.nbytes / 4
+    assert sink.path.stat().st_size < found.nbytes
 
 
 def test_what_an_engine_held_is_what_is_written(tmp_path: Path) -> None:

@@ -177,6 +177,7 @@ def test_another_generator_is_noticed() -> None:
         ({"upper": [8.0, 3.0, 2.5]}, "range -1 to 8"),
         ({"upper": [1e300, 3.0, 2.5]}, "range -1 to 1e"),
         ({"generator": "murmur3-fmix32", "grids": [0.0, 1.0, 1.0]}, "in steps of 0"),
+        ({"generator": "murmur3-fmix32", "grids": [2.0**128, 1.0, 1.0]}, "in steps of 3.4"),
         ({"generator": "murmur3-fmix32"}, "grids of a generator"),
     ],
 )

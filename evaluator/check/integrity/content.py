@@ -84,7 +84,8 @@ def check_content(
                 problems.skip("nothing says what the states are that the hashes are of", Kind.state_hash)
     if named := sorted(lost):
         problems.add(Kind.digest, f"not checked, since it cannot be read: {few(named, _SHOWN)}: {lost[named[0]]}")
-        problems.skip(lost[named[0]], Kind.state_hash)
+        if states := [name for name in named if name.startswith(_STATE)]:
+            problems.skip(lost[states[0]], Kind.state_hash)
     for name in sorted((claimed.keys() | found.keys()) - lost.keys()):
         if claimed.get(name) != found.get(name):
             what = "is missing" if name not in found else "was added" if name not in claimed else "was changed"
@@ -124,7 +125,7 @@ def _reordered(container: Container, scan: Scan, lost: dict[str, str]) -> dict[s
                 for content in container.in_sequence(topic):
                     digest.message(topic, content)
         except RecordingError as error:
-            lost[topic] = without_path(error, container.path)
+            lost[topic] = without_path(error, container.path).removeprefix(f"{topic}: ")
         else:
             found |= digest.digests()
     return found

@@ -26,7 +26,7 @@ def check_streams(recording: Recording, problems: Problems) -> None:
             demand()
     for name in recording.action_names:
         with problems.noting(Kind.stream, path=recording.path):
-            recording.actions(name)
+            recording.check_actions(name)
     for kind, checks in _CHECKS.items():
         for check in checks:
             # what cannot be read is told above
