@@ -103,6 +103,7 @@ def test_a_recording_has_what_bare_environments_return(steps: int, tmp_path: Pat
         assert np.array_equal(recorded.step(state, action).obs, step(states[-1], action).obs)
     recording = read(tmp_path / "a.mcap")
     assert (recording.status, recording.configuration.steps) == ("complete", steps)
+    assert recording.configuration.options["infos"] == "far"
     assert np.array_equal(column(recording, "observation"), np.stack([s.obs for s in states]))
     assert np.array_equal(column(recording, "reward")[1:], np.stack([s.reward for s in states[1:]]))
     assert np.array_equal(column(recording, "action")[1:], actions[..., 0])

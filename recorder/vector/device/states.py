@@ -112,8 +112,8 @@ def traced(*trees: Any) -> bool:
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
 
 
-def about(env: Any, state: Any, options: Mapping[str, str]) -> About:
-    """What a recording says of an environment whose states are such."""
+def about(env: Any, state: Any, options: Mapping[str, str], infos: Sequence[str]) -> About:
+    """What a recording says of an environment whose states are such, and of which these infos are recorded."""
     hidden = hides_the_last(state)
     devices = getattr(state.reward, "devices", None)  # numpy's arrays have none
     device = name_of(next(iter(devices()))) if devices else "cpu"
@@ -131,7 +131,12 @@ def about(env: Any, state: Any, options: Mapping[str, str]) -> About:
         device=device,
         mode=Mode.SAME_STEP if hidden else Mode.DISABLED,
         hidden=hidden,
-        options={**options, **({"env_wrappers": wrappers} if wrappers else {}), "jax": version("jax")},
+        options={
+            **options,
+            **({"infos": ", ".join(infos)} if infos else {}),
+            **({"env_wrappers": wrappers} if wrappers else {}),
+            "jax": version("jax"),
+        },
     )
 
 
