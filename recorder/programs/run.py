@@ -14,7 +14,7 @@ from pathlib import Path
 
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.process.launch import Interruptions, how_it_died, last_line
-from gpusimbench.recorder.programs.descendants import end_all
+from gpusimbench.recorder.programs.descendants import end_all, killed_with_parent
 from gpusimbench.recorder.programs.folder import VARIABLE, describe
 from gpusimbench.recorder.programs.memory import ProgramMemory
 from gpusimbench.schemas import PARTIAL
@@ -116,6 +116,7 @@ def _start(command: Sequence[str], folder: Path) -> subprocess.Popen[bytes]:
             return subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.STDOUT,
                 env={**os.environ, VARIABLE: str(folder.absolute())}, start_new_session=True,
+                preexec_fn=killed_with_parent(),
             )  # fmt: skip
         except FileNotFoundError:
             raise UsageError(f"there is no program {command[0]}") from None
