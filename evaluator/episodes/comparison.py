@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, error_of_mean, interval_of, shown
 from gpusimbench.evaluator.episodes.side import Episodes
@@ -146,6 +145,8 @@ def _combined(first: float | Missing, second: float | Missing) -> float | Missin
 
 def _exchanged(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     """p-value of the difference of two means, by a permutation test with environments as units."""
+    from scipy import stats  # slow to load, and gsb-compare loads this module for all recordings
+
     if np.ptp(np.concatenate([one, other])) == 0:
         return 1.0
     tested = stats.permutation_test(
