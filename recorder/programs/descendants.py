@@ -7,14 +7,13 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 
 from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.parent import signalled_at_its_end
 
 _PATIENCE_S = 5.0  # for processes that the kernel does not let end, such as those that wait for a disk
-_SET_PDEATHSIG, _SET_CHILD_SUBREAPER = 1, 36  # prctl(2)
-_LINUX = sys.platform.startswith("linux")
+_SET_CHILD_SUBREAPER = 36  # prctl(2)
 
 
 def adopt() -> bool:
@@ -22,29 +21,22 @@ def adopt() -> bool:
 
     Linux alone has that (prctl(2), PR_SET_CHILD_SUBREAPER). Returns whether it is so.
     """
-    return _LINUX and bool(ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0) == 0)
+    if not sys.platform.startswith("linux"):
+        return False
+    return bool(ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0) == 0)
 
 
 def end_with_parent() -> None:
     """Have SystemExit raised in the main thread once the parent of this process has ended, however it did.
 
-    A parent that is killed (SIGKILL) tells nobody: on Linux, the kernel does (prctl(2), PR_SET_PDEATHSIG).
+    On Linux alone.
     """
-    if not _LINUX:
-        return
-    parent = os.getppid()
-    signal.signal(signal.SIGUSR1, _ended)
-    ctypes.CDLL(None).prctl(_SET_PDEATHSIG, int(signal.SIGUSR1), 0, 0, 0)
-    if os.getppid() != parent:
-        _ended()
-
-
-def killed_with_parent() -> Callable[[], object] | None:
-    """What a process is to call between fork and exec, so that it is killed where its parent is; None but on Linux."""
-    if not _LINUX:
-        return None
-    prctl = ctypes.CDLL(None).prctl  # looked up here: behind the fork, nothing is loaded
-    return lambda: prctl(_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+    if tell := signalled_at_its_end(signal.SIGUSR1):
+        parent = os.getppid()
+        signal.signal(signal.SIGUSR1, _ended)
+        tell()
+        if os.getppid() != parent:
+            _ended()
 
 
 def _ended(*_: object) -> None:
