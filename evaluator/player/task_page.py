@@ -17,6 +17,7 @@ from gpusimbench.evaluator.render.document import Block, Code, Document, Figure,
 from gpusimbench.evaluator.render.figures.curves import End, curves_chart
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.vector import IMAGE_HASH
 
 _SHOWN = 4
 """Environments that are shown unless others are named."""
@@ -79,7 +80,7 @@ def _arrays(recording: Recording) -> Iterator[tuple[str, int]]:
         for field in recording.fields:
             if field.group != ENV or not (field.field == kind or field.field.startswith(f"{kind}_")):
                 continue
-            if not field.field.endswith("_hash") and (kind != "reward" or has_rewards(recording)):
+            if not field.field.endswith(IMAGE_HASH) and (kind != "reward" or has_rewards(recording)):
                 yield field.field, field.width
 
 

@@ -170,6 +170,7 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         log = RecordingWriter(
             self._path, simulator="gymnasium", version=gymnasium.__version__, scene=_name(self.env), n_env=n_env,
             dt=self._dt, steps=self._steps, fields=fields, seed=number, options=options, view=(),
+            attachments=self._physics.attachments() if self._physics else {},
         )  # fmt: skip
         log.__enter__()
         self._log = log
