@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from gpusimbench.evaluator.compare.finding import Settings
 
 _GATES = "throughput,memory,physics,validity,determinism,episodes"
+_OF_TWO_SETS = {"episodes", "lengths"}
 
 _EPILOG = f"""\
 Groups of runs that were asked for the same are compared: scene, environments, step, simulator, options, machine.
@@ -210,6 +211,8 @@ def _run_history(arguments: argparse.Namespace, settings: Settings, command: str
         raise UsageError("--history cannot be combined with base and head: give one or the other")
     if arguments.expect_same or arguments.across or arguments.junit:
         raise UsageError("--expect-same, --across and --junit compare two sets and cannot be used with --history")
+    if arguments.gate and (unfit := _OF_TWO_SETS & {axis.value for axis in settings.gates}):
+        raise UsageError(f"--history has no curves of {' and '.join(sorted(unfit))}: compare two sets by them")
 
     from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.compare.history.history import trace

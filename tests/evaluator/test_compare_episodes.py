@@ -110,3 +110,9 @@ def test_single_runs_that_part(capsys: pytest.CaptureFixture[str]) -> None:
     said = " ".join(capsys.readouterr().out.split())
     assert "states of head and base: they differ from step 1 on" in said
     assert "return of episodes" in said and "REGRESSION" in said
+
+
+def test_a_history_has_no_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Refuse a gate that nothing would decide, instead of passing it."""
+    assert main(["--history", str(tmp_path), "--gate", "throughput,episodes"]) == 2
+    assert "--history has no curves of episodes" in capsys.readouterr().err
