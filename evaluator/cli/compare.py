@@ -25,7 +25,8 @@ from gpusimbench.schemas.writing import write_file
 if TYPE_CHECKING:
     from gpusimbench.evaluator.compare.finding import Settings
 
-_GATES = "throughput,memory,physics,validity,determinism"
+_GATES = "throughput,memory,physics,validity,determinism,episodes"
+_OF_TWO_SETS = {"episodes", "lengths"}
 
 _EPILOG = f"""\
 Groups of runs that were asked for the same are compared: scene, environments, step, simulator, options, machine.
@@ -45,6 +46,8 @@ axes, and what fails their gate:
   variability  environments or runs of head end further apart (no gate by default)
   bits         the states of head differ from those of base in any bit (no gate by default)
   build        building or compiling takes longer (no gate by default)
+  episodes     of a task (gpusimbench.wrap): success or return is lower
+  lengths      episodes of a task are shorter or longer (no gate by default)
 
 exit codes:
   0  every gate passed
@@ -89,7 +92,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--across", action="append", default=[], metavar="KEY",
-        help="what may differ: an option, or simulator, determinism, warmup, timed_steps; repeatable",
+        help="what may differ: an option, or simulator, determinism, n_env, warmup, timed_steps; repeatable",
     )  # fmt: skip
     p.add_argument(
         "--history", type=local_path, metavar="DIR",
@@ -208,6 +211,8 @@ def _run_history(arguments: argparse.Namespace, settings: Settings, command: str
         raise UsageError("--history cannot be combined with base and head: give one or the other")
     if arguments.expect_same or arguments.across or arguments.junit:
         raise UsageError("--expect-same, --across and --junit compare two sets and cannot be used with --history")
+    if arguments.gate and (unfit := _OF_TWO_SETS & {axis.value for axis in settings.gates}):
+        raise UsageError(f"--history has no curves of {' and '.join(sorted(unfit))}: compare two sets by them")
 
     from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.compare.history.history import trace

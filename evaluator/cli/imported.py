@@ -105,6 +105,7 @@ def _check_recordings(arguments: argparse.Namespace) -> None:
 def _recorded(arguments: argparse.Namespace) -> tuple[Audit, ...]:
     from gpusimbench.evaluator.compute.recorder import about
     from gpusimbench.evaluator.imports.audit import audited, refused
+    from gpusimbench.schemas.imported import IMPORTED
 
     names = list(dict.fromkeys(filter(None, (part.strip() for part in arguments.sim.split(",")))))
     engines = [name for name in names if name != _REFERENCE]
@@ -118,6 +119,8 @@ def _recorded(arguments: argparse.Namespace) -> tuple[Audit, ...]:
     reference, why = _make(model, _REFERENCE, [], arguments)
     if reference is None:
         raise UsageError(why)
+    if reference.attachment(IMPORTED) is None:
+        raise GsbError(f"{_REFERENCE} could not be recorded: {reference.status}: {reference.reason} ({reference.path})")
     audits = []
     for name in each(engines, "recording what engines make of the model"):
         recording, why = _make(model, name, arguments.option, arguments)

@@ -25,7 +25,7 @@ _PROGRAMS = ("auto", "page", "rerun", "foxglove", "lichtblick")
 _EPILOG = """\
 The page is one file and needs no network. It shows environments in 3D over simulated time; environments that are
 bit-identical so far have one colour, and a button jumps to the first divergence. Several files of one scene are drawn
-together.
+together. A task's recording without places of bodies is shown as curves of rewards, actions and observations.
 
 exit codes:
   0  the recordings are shown, or, without a display, the command says where the page is
@@ -81,6 +81,12 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UsageError(f"--out keeps the page; with --with {arguments.program} there is none")
     program = Program.PAGE if out is not None else found(arguments.program)
     recordings = [Recording(path) for path in expand(arguments.files)]
+    if arguments.program in ("auto", "page"):
+        from gpusimbench.evaluator.player.task_page import only_curves
+
+        if only_curves(recordings):
+            _curves(recordings, arguments.env, out, command, opened=not arguments.no_open)
+            return _ended(recordings)
     with stage("reading states"):
         clip = make_clip(recordings, envs=arguments.env)
     for sentence in sentences(clip):
@@ -89,16 +95,35 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         _page(clip, recordings, out, command, opened=not arguments.no_open)
     else:
         _elsewhere(program, clip, recordings, arguments.spread, started=not arguments.no_open)
+    return _ended(recordings)
+
+
+def _ended(recordings: list[Recording]) -> int:
     lost = [r for r in recordings if r.status == "incomplete" or r.dropouts]
     return int(ExitCode.DATA_LOST if lost else ExitCode.OK)
 
 
+def _curves(recordings: list[Recording], envs: list[int], out: Path | None, command: str, *, opened: bool) -> None:
+    from gpusimbench.evaluator.player.task_page import task_document
+    from gpusimbench.evaluator.render.html import render_page
+
+    with stage("reading states"):
+        text = render_page(task_document(recordings, envs, command))
+    complain("gsb-view", "No place of a body was recorded: the page shows rewards, actions and observations as curves.")
+    _keep(text, recordings, out, opened=opened)
+
+
 def _page(clip: Clip, recordings: list[Recording], out: Path | None, command: str, *, opened: bool) -> None:
     from gpusimbench.evaluator.player.page import render_page
+
+    _keep(render_page(clip, recordings, command=command), recordings, out, opened=opened)
+
+
+def _keep(text: str, recordings: list[Recording], out: Path | None, *, opened: bool) -> None:
     from gpusimbench.evaluator.player.programs import open_page
 
     path = out or _folder() / f"{Path(recordings[0].path.name).stem}.html"
-    write_file(path, render_page(clip, recordings, command=command))
+    write_file(path, text)
     _say(path)
     if opened and not open_page(path):
         complain("gsb-view", f"no browser can be opened from here; the page is {path}, open it in one")

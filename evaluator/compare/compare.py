@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.check.protocol import Protocol
 from gpusimbench.evaluator.compare.distances import distances, has_positions, joint_distances
+from gpusimbench.evaluator.compare.episodes import compare_episodes
 from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, Question, Settings
 from gpusimbench.evaluator.compare.matching import Pair, check_across, match
 from gpusimbench.evaluator.compare.mechanics import compare_mechanics
@@ -201,6 +202,8 @@ def _draft(pair: Pair, protocols: Sequence[Protocol], settings: Settings, work: 
             add(Axis.VARIABILITY, compare_spread(metric, found, settings, applies=applies or of_joints))
     add(Axis.DETERMINISM, *compare_determinism(one, other))
     add(Axis.BITS, compare_bits(base, head), compare_arrays(base, head))
+    for axis, item in compare_episodes(base, head, settings):
+        add(axis, item)
     timed_base, timed_head = (
         timed_work(group.key, runs, protocol.of(group.recordings))
         for group, runs, protocol in zip((pair.base, pair.head), (base, head), protocols, strict=True)
@@ -272,12 +275,12 @@ def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[
 
 def _without_power(findings: Sequence[Finding], alpha: float) -> list[str]:
     """Which comparisons could have shown nothing, whatever the runs had been."""
-    found: dict[float, list[str]] = {}
+    found: dict[tuple[str, float], list[str]] = {}
     for f in findings:
         if f.least_p is not None and f.p_adjusted is None:
-            found.setdefault(f.least_p, []).append(f.title)
+            found.setdefault((f.tested_on, f.least_p), []).append(f.title)
     return [
-        f"too few runs{'' if least > alpha else ' for so many comparisons at once'} to show any change of "
+        f"too few {units}{'' if least > alpha else ' for so many comparisons at once'} to show any change of "
         f"{', '.join(titles)}, however large (smallest p possible: {least:.2g})"
-        for least, titles in found.items()
+        for (units, least), titles in found.items()
     ]

@@ -25,6 +25,7 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.markdown import render_markdown
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.schemas.text import cut
 
 _ROWS, _REASONS, _WARNINGS, _NOTES = 5, 1, 2, 1
@@ -57,7 +58,7 @@ def short(result: Result) -> Document:
             blocks.append(Text(cut(f"differs: {'; '.join(alone.pair.differs)}", _DIFFERS)))
     blocks.append(_remarkable(result, _ROWS, _LONGEST))
     if alone:
-        blocks.append(items(*_alike(alone, result), tone=Tone.QUIET))
+        blocks.append(items(*_alike(alone, result), *_bits_of_one_run(alone), tone=Tone.QUIET))
     told = dict.fromkeys(line for one in result.compared for line in words.undecided(one, result))
     blocks += [
         _first([f"undecided: {line}" for line in told], _REASONS, "reasons", Tone.WARNING),
@@ -157,6 +158,14 @@ def _alike(compared: Compared, result: Result) -> Iterator[str]:
         titles = [f.title for f in compared.findings if f.change is change and not f.undecided(result.settings)]
         if titles:
             yield f"{said}: {', '.join(titles)}"
+
+
+def _bits_of_one_run(compared: Compared) -> Iterator[str]:
+    """Where the only run of head leaves the only run of base; of several runs, the table says it."""
+    if compared.order.n == (1, 1):
+        for finding in compared.findings:
+            if finding.axis is Axis.BITS and finding.change is Change.NOT_COMPARED:
+                yield f"not compared: {finding.title}: {finding.why_not}"
 
 
 def _first(lines: Sequence[str], most: int, what: str, tone: Tone) -> Items:

@@ -10,7 +10,7 @@ from typing import Protocol
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.evaluator.statistics.families import fisher, least_fisher
 
-DEFAULT_GATES = frozenset({Axis.THROUGHPUT, Axis.MEMORY, Axis.PHYSICS, Axis.VALIDITY, Axis.DETERMINISM})
+DEFAULT_GATES = frozenset({Axis.THROUGHPUT, Axis.MEMORY, Axis.PHYSICS, Axis.VALIDITY, Axis.DETERMINISM, Axis.EPISODES})
 
 
 class Change(Enum):
@@ -65,12 +65,14 @@ class Finding:
     said        base and head in words; empty where the numbers say it
     ratio       head / base; None where there is none
     ci95        of the ratio, of this comparison alone; None where there is none
-    bounded     whether the verdict is by an interval: of the ratio, or of the amount where one is zero
+    difference_ci95  of head - base, in the unit, where differences are tested and not ratios
+    bounded     whether the verdict is by an interval: of the ratio or difference, or of the amount where one is zero
     p_value     of this comparison alone; None where the verdict is no statistic
     p_adjusted  for all comparisons of the invocation (Holm); verdicts are by this one; None where so few runs could
                 show nothing, whatever they had been
     least_p     the smallest p-value that so many runs can give
     n           runs of base and of head
+    tested_on   what the test exchanges, of which there may be too few: "runs" or "environments"
     method      what is compared
     test        how it was tested; empty where nothing was
     note        what a reader must see beside it
@@ -90,11 +92,13 @@ class Finding:
     said: tuple[str, str] = ("", "")
     ratio: float | None = None
     ci95: tuple[float, float] | None = None
+    difference_ci95: tuple[float, float] | None = None
     bounded: bool = False
     p_value: float | None = None
     p_adjusted: float | None = None
     least_p: float | None = None
     n: tuple[int, int] = (0, 0)
+    tested_on: str = "runs"
     method: str = ""
     test: str = ""
     note: str = ""
@@ -118,7 +122,7 @@ class Finding:
             return ""
         if self.bounded:
             return f"the interval contains a change of {settings.threshold * 100:.3g} % or more"
-        return "too few runs"
+        return f"too few {self.tested_on}"
 
 
 class Question(Protocol):

@@ -14,7 +14,7 @@ from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import cut, first
 
-ACROSS = ("simulator", "determinism", "warmup", "timed_steps")
+ACROSS = ("simulator", "determinism", "n_env", "warmup", "timed_steps")
 """What --across takes besides names of options."""
 
 _SHOWN, _LENGTH = 12, 48

@@ -64,7 +64,10 @@ def compare_bits(base: Runs, head: Runs) -> Finding | None:
     same = not len(apart)
     if not same and min(n) < 2:
         since = int(one.steps[apart[0]])
-        why = f"they differ from step {since} on, but runs of one side may differ too: needs two runs a side"
+        why = (
+            f"they differ from step {since} on (gsb-diff shows in which arrays), but runs of one side may differ too: "
+            "needs two runs a side"
+        )
         return not_compared(Axis.BITS, "states", _STATES, why)
     said = f"bit-identical at {rows} steps" if same else f"differ from step {int(one.steps[apart[0]])} on"
     change = Change.SAME if same else Change.CHANGED

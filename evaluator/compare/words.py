@@ -19,6 +19,8 @@ def cells(finding: Finding, result: Result) -> tuple[str, ...]:
         _amount(value, said, finding) for value, said in zip((finding.base, finding.head), finding.said, strict=True)
     )
     interval = f"[{_times(finding.ci95[0])}, {_times(finding.ci95[1])}]" if finding.ci95 else NONE
+    if finding.difference_ci95:
+        interval = f"by [{', '.join(f'{end:+.4g}' for end in finding.difference_ci95)}]"
     p = NONE if finding.p_adjusted is None else f"{finding.p_adjusted:.2g}"
     ratio = NONE if finding.ratio is None else _times(finding.ratio)
     return title(finding), base, head, ratio, interval, p, verdict(finding, result)
@@ -31,12 +33,12 @@ def title(finding: Finding) -> str:
 
 def verdict(finding: Finding, result: Result) -> str:
     """The verdict; capitals where it fails a gate, and a word where its axis does not decide."""
-    few = finding.p_adjusted is None and not finding.bounded
+    too_few = "" if finding.p_adjusted is not None or finding.bounded else f" (too few {finding.tested_on})"
     if finding.undecided(result.settings):
-        return f"undecided{' (too few runs)' if few else ''}"
+        return f"undecided{too_few}"
     threshold = _threshold(finding, result)
     word = {
-        Change.UNCLEAR: f"~{' (too few runs)' if few else ''}",
+        Change.UNCLEAR: f"~{too_few}",
         Change.WITHIN: f"~ within {threshold}",
         Change.SMALL: f"differs, below {threshold}",
         Change.NEAR: f"differs, perhaps below {threshold}",
@@ -215,4 +217,6 @@ def _amount(value: float | None, said: str, finding: Finding) -> str:
         return NONE
     if finding.unit == "B":
         return size(value, "#.4g")
+    if finding.axis in (Axis.EPISODES, Axis.LENGTHS):
+        return f"{value:.4g}"  # returns and lengths of any size, beside an interval with as many digits
     return f"{value:.3g}" if finding.unit == "s" else figure(value, finding.unit)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.parent import signalled_at_its_end
 
 COMMAND = "gsb-record"
 PROGRAMS = "gsb-run"
@@ -107,7 +108,7 @@ def _run(command: Sequence[str], printed: IO[bytes], say: Callable[[str], None])
         # in a session of its own, so that an interruption reaches it once, through this process
         child = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.PIPE, text=True, errors="replace",
-            start_new_session=True,
+            start_new_session=True, preexec_fn=signalled_at_its_end(signal.SIGTERM),
         )  # fmt: skip
     except OSError as error:
         raise GsbError(f"cannot start {COMMAND}: {error.strerror}") from None

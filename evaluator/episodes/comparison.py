@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, error_of_mean, interval_of, shown
 from gpusimbench.evaluator.episodes.side import Episodes
@@ -83,18 +82,19 @@ class Comparison:
 
 def compare(first: Episodes, second: Episodes) -> Comparison:
     """Compare two policies by as many episodes per environment."""
-    pairs = _pairs(first, second)
+    pairs = pairs_of(first, second)
     differences = []
     if first.success is not None and second.success is not None:
         differences.append(_of_success(first.success, second.success, together=pairs.formed))
-    differences.append(_difference(RETURN, "unknown", first.returns, second.returns, together=pairs.formed))
+    differences.append(difference_of(RETURN, "unknown", first.returns, second.returns, together=pairs.formed))
     adjusted = holm([one.p_value for one in differences])
     return Comparison(
         pairs, tuple(replace(one, adjusted_p=p) for one, p in zip(differences, adjusted, strict=True))
     )  # fmt: skip
 
 
-def _pairs(first: Episodes, second: Episodes) -> Pairs:
+def pairs_of(first: Episodes, second: Episodes) -> Pairs:
+    """Which episodes of two policies belong together; see Pairs."""
     numbers = [[one.configuration.n_env for one in side.side.recordings] for side in (first, second)]
     if numbers[0] != numbers[1] or first.starts.dtype != second.starts.dtype:
         return Pairs(0, 0)
@@ -102,7 +102,7 @@ def _pairs(first: Episodes, second: Episodes) -> Pairs:
 
 
 def _of_success(first: NDArray[np.bool_], second: NDArray[np.bool_], *, together: bool) -> Difference:
-    found = _difference(SUCCESS, "1", first.astype(np.float64), second.astype(np.float64), together=together)
+    found = difference_of(SUCCESS, "1", first.astype(np.float64), second.astype(np.float64), together=together)
     if not together:
         return found
     discordant = Discordant(int((first & ~second).sum()), int((~first & second).sum()))
@@ -112,9 +112,15 @@ def _of_success(first: NDArray[np.bool_], second: NDArray[np.bool_], *, together
     return replace(found, p_value=p, test="McNemar, exact", discordant=discordant)
 
 
-def _difference(
+def difference_of(
     name: str, unit: str, first: NDArray[np.float64], second: NDArray[np.float64], *, together: bool
 ) -> Difference:
+    """The mean of the first policy minus that of the second, with environments as units.
+
+    unit           of the values
+    first, second  values of episodes, shape [env, episode]
+    together       whether the episodes of one place are pairs
+    """
     discordant = Missing("episodes are not paired" if name == SUCCESS else "of success alone")
     one, other = first.mean(axis=1), second.mean(axis=1)
     if together:
@@ -139,6 +145,8 @@ def _combined(first: float | Missing, second: float | Missing) -> float | Missin
 
 def _exchanged(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     """p-value of the difference of two means, by a permutation test with environments as units."""
+    from scipy import stats  # slow to load, and gsb-compare loads this module for all recordings
+
     if np.ptp(np.concatenate([one, other])) == 0:
         return 1.0
     tested = stats.permutation_test(

@@ -101,7 +101,7 @@ def make_clip(
 
     NothingComparable where there are no states; UsageError where recordings do not go together, or have no such env.
     """
-    _check(recordings, envs)
+    check_shown(recordings, envs)
     labels = labels_of(recordings)
     rows = [recorded_steps(recording) for recording in recordings]
     for recording, steps in zip(recordings, rows, strict=True):
@@ -123,7 +123,8 @@ def make_clip(
     )  # fmt: skip
 
 
-def _check(recordings: Sequence[Recording], envs: Sequence[int]) -> None:
+def check_shown(recordings: Sequence[Recording], envs: Sequence[int]) -> None:
+    """UsageError where recordings do not go together, lack an environment, or more are asked for than are shown."""
     first = recordings[0]
     for other in recordings[1:]:
         if other.configuration.scene != first.configuration.scene:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text, items
+from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections import (
     accumulation,
     canonical,
@@ -36,7 +38,7 @@ from gpusimbench.evaluator.report.sections import (
 from gpusimbench.evaluator.report.sections.overview import asked_of, overview
 from gpusimbench.evaluator.report.source import Source
 
-SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
+SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
     problems.section,
     failing.section,
     simulators.section,
@@ -64,7 +66,8 @@ SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
     provenance.section,
     recordings.section,
 )
-"""Of a report, in order; a section that has nothing to say is None."""
+"""Of a report, in order. A section that does not apply is None; where recordings lack what it needs, the title and the
+reason stand for it."""
 
 TITLE = "Which simulator repeats itself, which is right, and how fast is each?"
 """Of several simulators."""
@@ -91,6 +94,12 @@ def in_short(source: Source) -> Document:
     return Document("", (*overview(source), *_made(source, sections)), asked_of(source.evaluation))
 
 
-def _made(source: Source, sections: Iterable[Callable[[Source], Section | None]]) -> list[Section]:
-    """The sections that have something to say."""
-    return [made for section in sections if (made := section(source)) is not None]
+def _made(source: Source, sections: Iterable[Callable[[Source], Section | Missing | None]]) -> list[Section]:
+    """The sections that have something to say, and the reasons of the others in a last one."""
+    found = [section(source) for section in sections]
+    left_out = [one.reason for one in found if isinstance(one, Missing)]
+    made = [one for one in found if isinstance(one, Section)]
+    if left_out:
+        said = plural(len(left_out), "section")
+        made.append(Section("left-out", "Left out", (items(*left_out),), said, folded=True))
+    return made

@@ -40,6 +40,8 @@ class Axis(Enum):
     VARIABILITY = "variability"
     DETERMINISM = "determinism"
     BITS = "bits"
+    EPISODES = "episodes"
+    LENGTHS = "lengths"
 
 
 class Table(StrEnum):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.process.launch import Interruptions
-from gpusimbench.recorder.programs.descendants import adopt
+from gpusimbench.recorder.programs.descendants import adopt, end_with_parent
 from gpusimbench.recorder.programs.run import ProgramRun, new_folder, run_program
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.text import line, show, show_document
@@ -23,6 +23,7 @@ def main() -> int:
     runs, out, time_limit, *command = sys.argv[1:]
     made: list[ProgramRun] = []
     adopt()
+    end_with_parent()  # gsb-run may be killed; nobody would wait for the program then
     try:
         with Interruptions() as interruptions, Gpus() as gpus:
             for _ in range(int(runs)):

@@ -19,6 +19,7 @@ from gpusimbench.recorder.programs.folder import VARIABLE, describe
 from gpusimbench.recorder.programs.memory import ProgramMemory
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.parent import signalled_at_its_end
 from gpusimbench.schemas.writing import create
 
 GRACE_S = 10.0
@@ -116,6 +117,7 @@ def _start(command: Sequence[str], folder: Path) -> subprocess.Popen[bytes]:
             return subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.STDOUT,
                 env={**os.environ, VARIABLE: str(folder.absolute())}, start_new_session=True,
+                preexec_fn=signalled_at_its_end(signal.SIGKILL),
             )  # fmt: skip
         except FileNotFoundError:
             raise UsageError(f"there is no program {command[0]}") from None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.vector.images import HASH
 from gpusimbench.schemas.fields import DIMENSIONLESS, FIELD_KINDS, UNKNOWN, StateField, array_field
 
-NO_STEP = "at step 0, which no step of the environment leads to, 0 stands for it"
+NO_STEP = "0 stands for it where no step was made: at step 0, and where a call of step began the next episode"
 
 NOT_GIVEN = "0 stands for it where its flag says that it was not given"
 GIVEN = "_given"

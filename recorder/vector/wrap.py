@@ -15,6 +15,12 @@ from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.schemas.errors import UsageError
 
+_TIMES = (
+    ("step_dt", False), ("control_timestep", False), ("control_freq", True), ("control_hz", True), ("dt", False),
+)  # fmt: skip
+"""Attributes that tell the time between two actions [s], or (True) their rate [Hz]. dt is the last: where another is
+there, dt may be the step of the physics, several of which make a step of the environment."""
+
 
 def wrap(
     envs: Any,
@@ -35,7 +41,8 @@ def wrap(
            where gsb-run runs the program
     steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on. None:
            all calls, until the environment is closed
-    dt     simulated time of a step [s]; None: what the task says of it (dt, step_dt, or render_fps of its metadata)
+    dt     simulated time between two actions [s]; None: what the task says of it (step_dt, control_timestep,
+           control_freq or control_hz, dt, or render_fps of its metadata)
     infos  scalars of the infos that are recorded, such as "success"; "a/b" is b in the dictionary a. Of functional
            environments, keys of the metrics and infos of the state
     physics  whether MuJoCo's qpos and qvel are recorded, for gsb-replay: of tasks of Gymnasium in this process, and of
@@ -130,8 +137,9 @@ def _told(envs: Any) -> Iterator[float]:
     # of the vector, and of its first environment where that lives in this process
     whole = getattr(envs, "unwrapped", envs)
     for env in (whole, *(one.unwrapped for one in getattr(whole, "envs", ())[:1])):
-        for name in ("dt", "step_dt", "control_timestep"):
-            if isinstance(value := getattr(env, name, None), (int, float)) and value > 0:
-                yield value
+        for name, rate in _TIMES:
+            value = getattr(env, name, None)
+            if isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0:
+                yield 1 / value if rate else value
     if fps := (getattr(envs, "metadata", None) or {}).get("render_fps"):
         yield 1 / fps

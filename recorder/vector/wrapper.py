@@ -14,7 +14,7 @@ from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hash
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.rows import check_envs
 from gpusimbench.recorder.vector.ending import Ending, refuses_hashes
-from gpusimbench.recorder.vector.fields import NOT_GIVEN, fields_of, recorded_dtype
+from gpusimbench.recorder.vector.fields import NO_STEP, NOT_GIVEN, fields_of, recorded_dtype
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.infos import array_name, nothing_told, told
 from gpusimbench.recorder.vector.modes import Ledger, Mode, final_name, five, mode_of, with_final
@@ -25,7 +25,6 @@ from gpusimbench.schemas.trees import leaves, on_host
 
 _ROWS = 50  # that are handed to the writer at a time
 _FLAGS = ("terminated", "truncated")
-_NO_STEP = "0 stands for it where no step was made: at step 0, and where a call of step began the next episode"
 
 Row = dict[str, NDArray[Any]]
 
@@ -155,7 +154,7 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         row = {**given, **seen, **of_step, **_final(seen), **facts, **of_info}
         check_envs(row)
         notes = {
-            **dict.fromkeys([*given, *of_step], _NO_STEP),
+            **dict.fromkeys([*given, *of_step], NO_STEP),
             **dict.fromkeys(map(array_name, self._infos), NOT_GIVEN),
             **self._of_images,
             **{final_name(name): note for name, note in self._of_images.items()},
@@ -171,6 +170,7 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         log = RecordingWriter(
             self._path, simulator="gymnasium", version=gymnasium.__version__, scene=_name(self.env), n_env=n_env,
             dt=self._dt, steps=self._steps, fields=fields, seed=number, options=options, view=(),
+            attachments=self._physics.attachments() if self._physics else {},
         )  # fmt: skip
         log.__enter__()
         self._log = log

@@ -11,6 +11,7 @@ import numpy as np
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.view.coordinates import Coordinate
 from gpusimbench.schemas.view.kinematics import ROBOT, Joint, Key, Link, Vector
 from gpusimbench.schemas.view.rotation import product, rotate
 from gpusimbench.schemas.view.shapes import IDENTITY, MAX_LINKS, Mesh, Solid, links_of, shape_of, solids_of
@@ -38,11 +39,13 @@ class Look:
     solids  bodies and links with their shapes
     links   parents first; bodies that are recorded by their poses are none
     notes   sentences: what is drawn otherwise than it is
+    order   joints of a compiled model, in the order of its coordinates
     """
 
     solids: tuple[Solid, ...] = ()
     links: tuple[Link, ...] = ()
     notes: tuple[str, ...] = ()
+    order: tuple[Coordinate, ...] = ()
 
 
 def look_of(scene: Mapping[str, Any], geometry: Mapping[str, Any] | None = None) -> Look:
@@ -62,7 +65,7 @@ def look_of(scene: Mapping[str, Any], geometry: Mapping[str, Any] | None = None)
     drawn = [s.mesh for solid in tree.solids for s in solid.shapes if s.mesh is not None]
     if any(sum(len(mesh.triangles) for mesh in some) > MAX_TRIANGLES for some in (meshes, drawn)):
         raise DamagedRecording(f"{GEOMETRY} has more than {MAX_TRIANGLES} triangles")
-    return Look(tuple(tree.solids), tuple(tree.links), checks.texts(geometry, "simplified"))
+    return Look(tuple(tree.solids), tuple(tree.links), checks.texts(geometry, "simplified"), tuple(tree.order))
 
 
 class _Tree:
@@ -74,6 +77,7 @@ class _Tree:
     def __init__(self) -> None:
         self.solids: list[Solid] = []
         self.links: list[Link] = []
+        self.order: list[Coordinate] = []
         self._placed: list[tuple[Key | None, Vector, Vector]] = []  # of each body: the frame that it is fixed in
         self._known: set[Key] = set()
 
@@ -83,6 +87,7 @@ class _Tree:
         joints = checks.objects(record, "joints")
         if len(joints) > _JOINTS:
             raise DamagedRecording(f"the body {name!r} has {len(joints)} joints; at most {_JOINTS} are read")
+        self.order += [Coordinate(*(checks.text(joint, key) for key in ("kind", "group", "name"))) for joint in joints]
         parent: Key | None = None
         if self._placed:
             parent, at, turned = self._placed[checks.whole(record, "parent", 0, len(self._placed) - 1)]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.view.coordinates import QPOS, coordinates_of
 from gpusimbench.schemas.view.geometry import Look
 from gpusimbench.schemas.view.kinematics import ROBOT, Key, Link, Placed
 from gpusimbench.schemas.view.rotation import product, rotate, unit
@@ -50,7 +51,7 @@ def one_of(rate: float, *, dt: float, stride: int) -> int:
 
 
 class Motion:
-    """Frames from the states of an environment.
+    """Frames from the states of an environment; of a task, from MuJoCo's qpos.
 
     fields  whose states are needed, in this order
     parts   that move, links after their parents; empty where nothing of the state is a place
@@ -63,6 +64,10 @@ class Motion:
     def __init__(self, fields: Sequence[StateField], look: Look, *, origin: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         self._origin = np.array(origin, dtype=np.float64)
         self._known = {field.name: field for field in fields}
+        self._coordinates = coordinates_of(look.order, self._known)
+        if self._coordinates is not None:
+            fields, qpos = self._coordinates.fields, self._known[QPOS]
+            self._known = {field.name: field for field in fields}
         self._bodies = [field for field in fields if field.field == "position"]
         asked = dict.fromkeys(joint.field for link in look.links for joint in link.joints)
         joints = [field for name in asked if (field := self._known.get(name)) is not None and _of_joints(field)]
@@ -72,10 +77,15 @@ class Motion:
         self._check()
         free = [Part(name, field.group, None) for field in self._bodies for name in field.items]
         self.parts = tuple(_parts(free, self._links))
+        if self._coordinates is not None:
+            self.fields = (qpos,)
 
     def frames(self, states: Sequence[NDArray[Any]]) -> tuple[Frame, ...]:
         """Frames of rows, in the order of `parts`, from an array [row, item, width] of each of `fields`."""
-        by_name = {field.name: array for field, array in zip(self.fields, states, strict=True)}
+        if self._coordinates is not None:
+            by_name = self._coordinates.states(states[0])
+        else:
+            by_name = {field.name: array for field, array in zip(self.fields, states, strict=True)}
         found = [*self._moved(by_name), *self._hung(by_name)]
         return tuple(Frame(part, *placed) for part, placed in zip(self.parts, found, strict=True))
 

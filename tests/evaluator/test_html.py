@@ -285,8 +285,8 @@ def test_missing_values_are_reasons(alone: Evaluation) -> None:
         assert f"not computed: reason of {name}" in Page(text).text
     for row in rows[:2]:
         assert not re.search(r'<td class="num">\s*\d', row)
-    assert "No matrix: reason of w1_parallel." in text
-    assert "not applicable no states were recorded" in Page(text).text
+    assert "Consistency matrices: reason of w1_parallel; reason of w1_run_to_run" in text
+    assert "Mechanics: no states were recorded" in Page(text).text
 
 
 def test_off_map_counts_are_printed(several: Evaluation) -> None:
@@ -516,7 +516,7 @@ def test_too_many_environments_for_a_matrix(tmp_path: Path, monkeypatch: pytest.
     assert with_matrix.metrics["w1_parallel"].of(BetweenEnvs).matrix_cm is not None
     assert without.metrics["w1_parallel"].of(BetweenEnvs).matrix_cm is None
     assert without.metrics["w1_parallel"].value == pytest.approx(with_matrix.metrics["w1_parallel"].value, rel=1e-12)
-    assert "No matrix: 4 environments are too many for one (limit: 3)." in Page(render(evaluation)).text
+    assert "Consistency matrices: 4 environments are too many for one (limit: 3)" in Page(render(evaluation)).text
 
 
 @pytest.mark.parametrize("number", [8, 9])

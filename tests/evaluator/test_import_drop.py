@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from gpusimbench.evaluator.imports.landing import Landing, landings
@@ -16,9 +19,10 @@ from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.mujoco.drop import AFTER_S, dropped
 from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.imported import Drop
 from gpusimbench.schemas.model_files import pack
-from tests.conftest import call
+from tests.conftest import call, wait_for
 
 pytest.importorskip("mujoco")
 
@@ -120,3 +124,34 @@ def test_the_command_shows_the_drop(tmp_path: Path) -> None:
     ours, theirs = (engine["landings"][name] for name in ("reference", "engine"))
     assert theirs["time"] == pytest.approx(ours["time"], abs=0.003)  # a step
     assert theirs["carried"] == pytest.approx(ours["carried"], abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_reference_that_fails(tmp_path: Path) -> None:
+    """Say why MuJoCo C could not be recorded, here for the memory of collisions, and not that it was not asked."""
+    path = tmp_path / "crowd.xml"
+    still = "".join(f'<body pos="{at} 0 0"><geom size=".1"/></body>' for at in range(1000))
+    fall = '<body pos="0 0 1"><freejoint/><geom size=".1"/></body>'
+    path.write_text(f'<mujoco><size memory="1M"/><worldbody>{still}{fall}</worldbody></mujoco>')
+    done = call("gsb-import", path, "--sim", "warp", cwd=tmp_path, code=ExitCode.FAILURE)
+    assert "mujoco could not be recorded: failed: SimulationError in phase init: " in done.stderr
+    assert "out of memory" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="the kernel of Linux alone tells a process that its parent has ended"
+)
+def test_a_run_ends_with_a_killed_command(tmp_path: Path) -> None:
+    """Leave no process behind where gsb-import is killed while gsb-record records for it."""
+    path = tmp_path / "ball.xml"
+    path.write_text(BALL)
+    command = [sys.executable, "-m", "gpusimbench.evaluator.cli.imported", str(path), "--sim", "warp"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL) as running:
+        try:
+            found: list[psutil.Process] = []
+            wait_for(lambda: found.extend(psutil.Process(running.pid).children(recursive=True)) or len(set(found)) > 1)
+        finally:
+            running.kill()
+    wait_for(lambda: not any(process.is_running() for process in found))
+    assert not list(tmp_path.glob("imports/*.mcap")), "nothing looks complete"

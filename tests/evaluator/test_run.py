@@ -186,10 +186,37 @@ def test_processes_in_sessions_of_their_own_end_with_the_run(tmp_path: Path) -> 
     one = f"setsid -f {' '.join(asleep)}"  # whose parent ends at once
     text = f"{one}; setsid sh -c '{one}; exec {' '.join(asleep)}' & sleep 0.3"
     gsb_run(tmp_path, ["sh", "-c", text], code=ExitCode.NOTHING_COMPARABLE)
-    left = [process for process in psutil.process_iter(["cmdline"]) if process.info["cmdline"] == asleep]
+    left = running_as(asleep)
     for process in left:
         process.kill()
     assert left == []
+
+
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="the kernel of Linux alone tells a process that its parent has ended"
+)
+@pytest.mark.parametrize("killed", ["gsb-run", "the process that waits"])
+def test_a_program_ends_with_a_killed_command(killed: str, tmp_path: Path) -> None:
+    """Leave nothing running where gsb-run is killed, by SIGKILL, nor the program where the process between is."""
+    asleep = ["sleep", f"9876.{os.getpid()}"]
+    last = f"setsid -f {' '.join(asleep)}; " if killed == "gsb-run" else ""
+    command = [sys.executable, "-m", "gpusimbench.evaluator.cli.run", "--", "sh", "-c"]
+    command.append(f"{last}exec {' '.join(asleep)}")
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as running:
+        try:
+            wait_for(lambda: len(running_as(asleep)) == 1 + bool(last))
+            (between,) = psutil.Process(running.pid).children()
+            (running if killed == "gsb-run" else between).kill()
+            wait_for(lambda: not running_as(asleep) and not between.is_running())
+        finally:
+            running.kill()
+            for process in running_as(asleep):
+                process.kill()
+
+
+def running_as(words: list[str]) -> list[psutil.Process]:
+    """Processes of that command line."""
+    return [process for process in psutil.process_iter(["cmdline"]) if process.info["cmdline"] == words]
 
 
 _BAD = """

@@ -14,6 +14,7 @@ from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar
 from gpusimbench.evaluator.metrics.split_tree import Branch, SplitTree
 from gpusimbench.evaluator.render.figures import (
     axis,
+    curves,
     density_map,
     divergence,
     dot_plot,
@@ -361,7 +362,7 @@ def test_published_points_are_marked_as_foreign() -> None:
     assert min(np.diff(heights)) >= 12
 
 
-FIGURES = ["matrix", "map", "scale", "radar", "scaling", "classes", "dots", "divergence", "tree", "scatter"]
+FIGURES = ["matrix", "map", "scale", "radar", "scaling", "classes", "dots", "divergence", "tree", "scatter", "curves"]
 
 
 def every_figure() -> list[str]:
@@ -397,6 +398,9 @@ def every_figure() -> list[str]:
             up="y",
             across_tick=str,
             up_tick=str,
+        ),
+        curves.curves_chart(
+            [(HOSTILE, times), ("b", grown)], np.arange(8), [curves.End(3, terminated=False)], name=HOSTILE
         ),
     ]
 

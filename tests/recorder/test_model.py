@@ -291,6 +291,10 @@ def test_engines_that_take_no_models(simulator: str, tmp_path: Path) -> None:
             '</body></worldbody><keyframe><key mpos="1 0 0"/></keyframe></mujoco>',
             "moves mocap bodies",
         ),
+        (
+            '<mujoco><worldbody><body pos="0 0 nan"><freejoint/><geom size=".1"/></body></worldbody></mujoco>',
+            "robot.xml has numbers that are not finite: MuJoCo compiles it with qpos0, body_pos of NaN or inf",
+        ),
     ],
 )
 def test_models_that_cannot_be(text: str, said: str, tmp_path: Path) -> None:

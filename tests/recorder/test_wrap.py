@@ -211,6 +211,28 @@ def test_seeds_and_time_steps(tmp_path: Path) -> None:
     assert "seed 4" in call("gsb-info", tmp_path / "one.mcap").stdout
 
 
+@pytest.mark.parametrize(
+    ("told", "wanted"),
+    [
+        ({"dt": 0.01}, 0.01),
+        ({"dt": 0.01, "control_hz": 10}, 0.1),
+        ({"dt": 0.002, "control_freq": 20.0, "step_dt": 0.05}, 0.05),
+        ({"dt": 0.01, "control_timestep": 0.04, "control_freq": 25}, 0.04),
+        ({"dt": 0, "control_freq": 0, "control_hz": True}, 0.05),
+        ({"control_timestep": lambda: 0.1}, 0.05),
+    ],
+)
+def test_the_time_between_two_actions(told: dict[str, Any], wanted: float, tmp_path: Path) -> None:
+    """Record the control step where a task tells it beside the step of its physics; else what the task says at all."""
+    envs = walks(1, 3, "NextStep")
+    for name, value in told.items():
+        setattr(envs.envs[0].unwrapped, name, value)
+    with wrap(envs, tmp_path / "a.mcap", steps=1) as recorded:
+        recorded.reset(seed=0)
+        recorded.step(recorded.action_space.sample())
+    assert open_recording(tmp_path / "a.mcap").configuration.dt == pytest.approx(wanted)
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_a_reset_of_all_cuts_the_episodes(mode: str, tmp_path: Path) -> None:
     """Begin the next episode of every environment, keep what was seen before, and lose no step."""
@@ -353,8 +375,8 @@ def test_what_the_commands_say(tmp_path: Path) -> None:
     other = call("gsb-diff", tmp_path / "a.mcap", tmp_path / "c.mcap", code=4)
     assert "from step 0 (0 s) on, first in env 0: env/observation_at[0]: " in " ".join(other.stdout.split())
     assert "unknown and" not in other.stdout
-    nothing = call("gsb-view", tmp_path / "a.mcap", "--no-open", "--out", tmp_path / "view.html", code=5)
-    assert "holds observations and actions of a task, and no positions of bodies" in " ".join(nothing.stderr.split())
+    curves = call("gsb-view", tmp_path / "a.mcap", "--no-open", "--out", tmp_path / "view.html", code=0)
+    assert "shows rewards, actions and observations as curves" in " ".join(curves.stderr.split())
     found = call("gsb-eval", tmp_path / "a.mcap", tmp_path / "b.mcap", code=0)
     assert found.stdout.startswith("gymnasium: all 2 runs are bit-identical")
     whole = [tmp_path / f"{name}.mcap" for name in "ac"]

@@ -13,6 +13,7 @@ import pytest
 
 from gpusimbench import UsageError, open_recording, record_rollout, verify, wrap
 from gpusimbench.evaluator.diff import compare
+from gpusimbench.evaluator.player.poses import items_of
 from gpusimbench.evaluator.read.episodes import count_episodes, episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.images import image_hashes
@@ -103,6 +104,7 @@ def test_a_recording_has_what_bare_environments_return(steps: int, tmp_path: Pat
         assert np.array_equal(recorded.step(state, action).obs, step(states[-1], action).obs)
     recording = read(tmp_path / "a.mcap")
     assert (recording.status, recording.configuration.steps) == ("complete", steps)
+    assert recording.configuration.options["infos"] == "far"
     assert np.array_equal(column(recording, "observation"), np.stack([s.obs for s in states]))
     assert np.array_equal(column(recording, "reward")[1:], np.stack([s.reward for s in states[1:]]))
     assert np.array_equal(column(recording, "action")[1:], actions[..., 0])
@@ -305,6 +307,10 @@ def test_a_cartpole_of_playground(full: bool, tmp_path: Path) -> None:
     assert (recording.configuration.simulator, recording.configuration.dt) == ("mujoco_playground", 0.01)
     for name in ("qpos", "qvel"):
         assert np.array_equal(column(recording, f"physics_{name}"), np.stack([getattr(one.data, name) for one in seen]))
+    drawn_at = items_of(recording, 0, [range(31)])
+    cart = [name for _, name in drawn_at.bodies].index("cart")
+    slide = np.array([one.data.qpos[0, 0] for one in seen])
+    np.testing.assert_allclose(drawn_at.position[:, cart, 0], slide, atol=1e-6)  # along the rail, in float32
     counts = count_episodes(recording)
     assert counts is not None
     assert (counts.truncated, counts.terminated, counts.mean_length) == (3 * N_ENV, 0, 8)

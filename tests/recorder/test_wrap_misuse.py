@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 
 from gpusimbench import UsageError, open_recording, record_rollout, verify, wrap
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.errors import DataLost
 
 jax = pytest.importorskip("jax")
 jnp = jax.numpy
@@ -227,3 +229,26 @@ def test_lists_of_actions(tmp_path: Path) -> None:
             recorded.step([1, 0])
     actions = open_recording(tmp_path / "a.mcap").state("env", "action")
     assert actions[1:].reshape(3, 2).tolist() == [[1, 0]] * 3
+
+
+@pytest.mark.parametrize("functional", [True, False], ids=["a functional environment", "a vector"])
+def test_a_disk_that_is_full(functional: bool, tmp_path: Path) -> None:
+    """Raise one error that says what was written, and leave nothing under the name of a whole recording."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, before[1]))  # Python ignores the signal
+    try:
+        with pytest.raises(
+            DataLost, match=r"writing stopped: File too large; what was written is in .*a\.mcap\.partial"
+        ):
+            if functional:
+                stepped(Counting(), tmp_path / "a.mcap", steps=2000)
+            else:
+                envs = gymnasium.make_vec("CartPole-v1", num_envs=N_ENV, vectorization_mode="sync")
+                with wrap(envs, tmp_path / "a.mcap", steps=2000) as recorded:
+                    recorded.reset(seed=0)
+                    for _ in range(2000):
+                        recorded.step(np.zeros(N_ENV, dtype=np.int64))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.partial"]
+    assert open_recording(tmp_path / "a.mcap.partial").status == "incomplete"

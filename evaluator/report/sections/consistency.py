@@ -12,7 +12,7 @@ from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.document import Block, Document, Embed, Figure, Numbers, Section, Text, key_of
 from gpusimbench.evaluator.render.figures import matrix
 from gpusimbench.evaluator.render.figures.tree import in_ranges
-from gpusimbench.evaluator.report.sections.rows import footnotes_below, ordered, titled, with_lines
+from gpusimbench.evaluator.report.sections.rows import footnotes_below, ordered, titled, with_lines, without
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, DistinctEnvs
 from gpusimbench.evaluator.results.result import GroupResult
@@ -27,12 +27,17 @@ _HOW = (
 _CLASSES = 12  # that a caption names
 _PARTS = 8  # ranges of members that it names of each
 
+_NAMES = ("w1_parallel", "w1_run_to_run")
+"""Metrics whose distances are drawn: between environments, between runs."""
 
-def section(source: Source) -> Section | None:
-    """The matrices of every scene; None without a group."""
+
+def section(source: Source) -> Section | Missing | None:
+    """The matrices of every scene; None without a group, Missing where there are no distances."""
     of_scene = ordered(source.shown, "scene")
     if not of_scene:
         return None
+    if not any(values is not None for r in source.shown for values in _distances(r)):
+        return without("Consistency matrices", (_why_no_matrix(r, name) for r in source.shown for name in _NAMES))
     parts = [_of_scene(source, scene, results) for scene, results in of_scene.items()]
     n_drawn = sum(bool(one.svg) for one in Document("", tuple(parts)).figures())
     n_all = 2 * len(source.shown)
@@ -67,10 +72,18 @@ def matrices(source: Source, results: Sequence[GroupResult]) -> tuple[list[Figur
 
 def _scale(shown: Sequence[GroupResult]) -> matrix.Scale | None:
     """The scale of all matrices."""
-    of_all = [r.metrics for r in shown]
-    found = [m["w1_parallel"].of(BetweenEnvs).matrix_cm for m in of_all]
-    found += [m["w1_run_to_run"].of(BetweenRuns).matrix_cm for m in of_all]
-    return matrix.scale_of(values for values in found if values is not None)
+    return matrix.scale_of(values for r in shown for values in _distances(r) if values is not None)
+
+
+def _distances(result: GroupResult) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
+    """Between environments, and between runs [cm]."""
+    envs, runs = _NAMES
+    return result.metrics[envs].of(BetweenEnvs).matrix_cm, result.metrics[runs].of(BetweenRuns).matrix_cm
+
+
+def _why_no_matrix(result: GroupResult, name: str) -> str:
+    metric = result.metrics[name]
+    return why_missing(metric.value) or metric.of(BetweenEnvs).no_matrix or "it was not computed"
 
 
 def _envs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Figure:
@@ -101,9 +114,7 @@ def _matrix(
     scale: matrix.Scale | None,
 ) -> Figure:
     if values is None:
-        metric = result.metrics[name]
-        why_not = why_missing(metric.value) or metric.of(BetweenEnvs).no_matrix or "it was not computed"
-        return Figure(result.label, f"No matrix: {why_not}.", None)
+        return Figure(result.label, f"No matrix: {_why_no_matrix(result, name)}.", None)
     if len(values) > 1 and not values.any():
         return Figure(result.label, _all_zero(len(values), of, classes), None)
     if len(names) != len(values):

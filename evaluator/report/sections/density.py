@@ -15,7 +15,7 @@ from gpusimbench.evaluator.render.csv import Cell
 from gpusimbench.evaluator.render.document import Block, Figure, Numbers, Section, Text, key_of
 from gpusimbench.evaluator.render.figures import density_map
 from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.evaluator.report.sections.rows import footnotes_below, titled, with_lines
+from gpusimbench.evaluator.report.sections.rows import footnotes_below, titled, with_lines, without
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.reference import Reference
@@ -47,14 +47,16 @@ class SceneMaps:
     pictures: list[Figure]
 
 
-def section(source: Source) -> Section | None:
-    """A section for each scene; None without a group."""
+def section(source: Source) -> Section | Missing | None:
+    """A section for each scene; None without a group, Missing where nothing is drawn."""
     found = list(scene_maps(source.evaluation, source.shown))
     if not found:
         return None
     n_drawn = sum(bool(one.svg) for maps in found for one in maps.pictures)
+    if not n_drawn:
+        return without("Density maps", (_why_no_cloud(r, source.evaluation) for r in source.shown))
     n_scene = sum(maps.scale is not None for maps in found)
-    said = f"{plural(n_drawn, 'map')} of {plural(n_scene, 'scene')}" if n_drawn else "no positions were recorded"
+    said = f"{plural(n_drawn, 'map')} of {plural(n_scene, 'scene')}"
     return Section("density", "Density maps", tuple(_of_scene(source, one) for one in found), said, folded=True)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
@@ -20,7 +21,7 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import fidelity
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, without
 from gpusimbench.evaluator.report.sections.values import of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.fidelity import DEMANDED, FidelityRow, Verdict
@@ -31,12 +32,14 @@ _SAID = f"An opened row shows what each check measured. Tolerances are those of 
 _TONES = {Verdict.HELD: Tone.GOOD, Verdict.BROKEN: Tone.BAD}
 
 
-def section(source: Source) -> Section | None:
-    """A row for each group, those with a broken check first."""
+def section(source: Source) -> Section | Missing | None:
+    """A row for each group, those with a broken check first; Missing where no check applies to any group."""
     checked = [r for r in source.shown if r.fidelity.checkable]
     broken = [r for r in checked if r.fidelity.of(Verdict.BROKEN)]
     if not source.shown:
         return None
+    if all(r.fidelity.why_not for r in source.shown):
+        return without("Mechanics", (r.fidelity.why_not for r in source.shown))
     ordered = sorted(source.shown, key=lambda r: r not in broken)
     said = "no group breaks a check" if checked else "no group could be checked"
     if broken:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from markupsafe import Markup
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.player.markup import markup, script, style
 from gpusimbench.evaluator.render.document import Block, Embed, Item, Items, Section, Text
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.sections.rows import without
 from gpusimbench.evaluator.report.source import Source
 
 _HOW = (
@@ -17,16 +19,15 @@ _HOW = (
 )
 
 
-def section(source: Source) -> Section | None:
-    """None where nothing can be played."""
+def section(source: Source) -> Section | Missing | None:
+    """None where playback was not asked for or nothing was captured, Missing where no group can be shown."""
     found = source.playback
     if found is None or not (found.clips or found.not_shown):
         return None
-    blocks: list[Block] = []
-    if found.clips:
-        blocks += [Text(_HOW), Embed(markup(found.clips), Markup(style()), Markup(script()))]
+    if not found.clips:
+        return without("Playback", (one.reason for one in found.not_shown))
+    blocks: list[Block] = [Text(_HOW), Embed(markup(found.clips), Markup(style()), Markup(script()))]
     if found.not_shown:
         not_shown = tuple(Item(f"{', '.join(one.labels)}: {one.reason}") for one in found.not_shown)
         blocks.append(Section("not-played", "Not shown", (Items(not_shown),)))
-    said = f"{plural(len(found.clips), 'group')} to watch" if found.clips else "no group to watch"
-    return Section("playback", "Playback", tuple(blocks), said, folded=True)
+    return Section("playback", "Playback", tuple(blocks), f"{plural(len(found.clips), 'group')} to watch", folded=True)

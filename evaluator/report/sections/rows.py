@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import groupby
 from typing import Any
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
     EMPTY,
     NONE,
@@ -32,6 +33,11 @@ Written = Callable[[GroupResult], Cell]
 
 FEW = 5
 """Groups that are listed at once; of more, a summary stands before the closed list."""
+
+
+def without(title: str, reasons: Iterable[str]) -> Missing:
+    """What stands for a section of that title for which no group has what it needs; each reason once."""
+    return Missing(f"{title}: {'; '.join(dict.fromkeys(reasons))}")
 
 
 def facets(result: GroupResult) -> dict[str, str]:

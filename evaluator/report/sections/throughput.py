@@ -9,7 +9,7 @@ from gpusimbench.evaluator.render.document import Block, Cell, Column, Item, Sec
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.leaders import fastest
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written, lines_of, ordered
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, lines_of, ordered, without
 from gpusimbench.evaluator.report.sections.values import column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import CAPTURE_OVERHEAD, FPS
@@ -26,17 +26,25 @@ _HOW = (
 _OTHER_STEPS = "captured and timed steps are other steps of the scene: a difference in contacts counts as well"
 
 
-def section(source: Source) -> Section | None:
-    """None where no group is left."""
+def section(source: Source) -> Section | Missing | None:
+    """None where no group is left, Missing where nothing was timed or measured."""
     if not source.shown:
         return None
     ran = [r for r in source.shown if r.group.complete]
     timed_ones = [r for r in ran if known(r.metrics[FPS.name].value) is not None]
+    if (
+        ran
+        and not source.hidden
+        and not any(
+            known(r.metrics[metric.name].value) is not None for r in ran for metric in source.columns(Table.THROUGHPUT)
+        )
+    ):
+        return without("Throughput and memory", map(_why_not, ran))
     blocks: list[Block] = [Text(_HOW)]
     if hidden := len(source.hidden):
         blocks.append(Text(f"{plural(hidden, 'group')} of sweeps that captured no states: see scaling."))
     blocks += _speeds(source, timed_ones)
-    left = [(_why_not(r), r.label) for r in source.shown if r not in timed_ones]
+    left = [(f"no throughput: {_why_not(r)}", r.label) for r in source.shown if r not in timed_ones]
     if listed := lines_of(left):
         blocks.append(listed)
     if ran:
@@ -81,7 +89,7 @@ def _costs(source: Source, results: list[GroupResult]) -> Iterator[Block]:
 
 def _why_not(result: GroupResult) -> str:
     found = result.metrics[FPS.name].value
-    return f"no throughput: {found.reason if isinstance(found, Missing) else 'no run is complete'}"
+    return found.reason if isinstance(found, Missing) else "no run is complete"
 
 
 def _timed(column: timed.Column) -> Written:

@@ -18,6 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gpusimbench.recorder.abilities import Ability
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.contents import NO_KEYFRAME, controls_of, keyframe_of, moving, solver_options
@@ -26,6 +28,12 @@ from gpusimbench.schemas.model_files import unpack
 
 BODIES, JOINTS, BALLS = "bodies", "joints", "balls"
 """Groups of the state."""
+
+_FINITE = (
+    "qpos0", "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat",
+    "geom_size", "jnt_pos", "jnt_axis",
+)  # fmt: skip
+"""Arrays of a compiled model that every file of it is made of: MuJoCo takes NaN in a model's file, and warns of it."""
 
 _OF_GEOMS = ("solref", "solimp", "condim")  # options of MuJoCo's physics that a model has for each geom
 
@@ -141,6 +149,10 @@ def model_scene(
     except ImportError:
         raise UsageError("a model file is read by MuJoCo, which is not installed here: pip install mujoco") from None
     own, model = compiled(archive)
+    if odd := [name for name in _FINITE if not np.isfinite(getattr(model, name)).all()]:
+        raise UsageError(
+            f"{own} has numbers that are not finite: MuJoCo compiles it with {', '.join(odd)} of NaN or inf"
+        )
     if not model.njnt:
         raise UsageError(f"{own} has no joint, so that nothing in it moves")
     chosen, key = keyframe_of(model, keyframe)

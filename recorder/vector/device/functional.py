@@ -113,7 +113,10 @@ class RecordedFunctional(Ending):
         if self._layout is None:
             layout = states.Layout(state, infos=self._infos, physics=self._physics, full=states.cut_after(self._env))
             about = replace(
-                states.about(self._env, state, {"rng": self._rng} if self._rng else {}), images=self._images
+                states.about(
+                    self._env, state, {"rng": self._rng} if self._rng else {}, self._infos, physics=self._physics
+                ),
+                images=self._images,
             )
             self._log.begin(
                 layout.first(state, action), HostLog(self._path, steps=self._steps, dt=self._dt, about=about)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,8 @@ _HIDDEN = (
 class About:
     """What a recording says of the environments, see RecordingWriter.
 
-    hidden  whether a reset within step hides the last observation of an episode
+    hidden       whether a reset within step hides the last observation of an episode
+    attachments  of the recording
     """
 
     simulator: str
@@ -42,6 +43,7 @@ class About:
     options: Mapping[str, str]
     seed: int = 0
     images: Images = Images.HASH
+    attachments: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
 
 
 class HostLog:
@@ -90,6 +92,7 @@ class HostLog:
             self._path, simulator=about.simulator, version=about.version, scene=about.scene, device=about.device,
             n_env=len(row["reward"]), dt=self._dt, steps=self._steps, fields=fields_of(row, notes), seed=about.seed,
             options={"autoreset_mode": about.mode.value, **images, **about.options}, view=(),
+            attachments=about.attachments,
         )  # fmt: skip
         return writer.__enter__()
 

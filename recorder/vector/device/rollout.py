@@ -65,7 +65,7 @@ def record_rollout(
     for name, array in rows.items():
         if tuple(array.shape[1:]) != tuple(begin[name].shape) or len(array) != steps:
             raise UsageError(f"{name} has shape {tuple(array.shape)}, and not {(steps, *begin[name].shape)}")
-    about = of_states.about(env, first, {})
+    about = of_states.about(env, first, {}, names, physics=physics)
     log = HostLog(path, steps=steps, dt=given_or(dt, of_states.step_of(env)), about=about)
     try:
         log.append({name: np.asarray(array)[None] for name, array in begin.items()}, {})

@@ -15,6 +15,7 @@ from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import leaves
 from gpusimbench.schemas.vector import PHYSICS
+from gpusimbench.schemas.view.geometry import GEOMETRY, MEDIA_TYPE
 
 _FIRST = "first_obs"  # ends the name of the info that a wrapper resets from
 _ORIGINS = {"mujoco_playground": "playground", "brax": "brax"}  # packages, and what they are distributed as
@@ -112,8 +113,11 @@ def traced(*trees: Any) -> bool:
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
 
 
-def about(env: Any, state: Any, options: Mapping[str, str]) -> About:
-    """What a recording says of an environment whose states are such."""
+def about(env: Any, state: Any, options: Mapping[str, str], infos: Sequence[str], *, physics: bool) -> About:
+    """What a recording says of an environment whose states are such, and of which these infos are recorded.
+
+    physics  whether its states of MuJoCo are: then its model is attached, where it tells it
+    """
     hidden = hides_the_last(state)
     devices = getattr(state.reward, "devices", None)  # numpy's arrays have none
     device = name_of(next(iter(devices()))) if devices else "cpu"
@@ -131,8 +135,23 @@ def about(env: Any, state: Any, options: Mapping[str, str]) -> About:
         device=device,
         mode=Mode.SAME_STEP if hidden else Mode.DISABLED,
         hidden=hidden,
-        options={**options, **({"env_wrappers": wrappers} if wrappers else {}), "jax": version("jax")},
+        options={
+            **options,
+            **({"infos": ", ".join(infos)} if infos else {}),
+            **({"env_wrappers": wrappers} if wrappers else {}),
+            "jax": version("jax"),
+        },
+        attachments=_geometry(whole) if physics else {},
     )
+
+
+def _geometry(env: Any) -> dict[str, tuple[str, bytes]]:
+    model = getattr(env, "mj_model", None) or getattr(getattr(env, "sys", None), "mj_model", None)
+    if type(model).__name__ != "MjModel":
+        return {}
+    from gpusimbench.recorder.simulators.mujoco.geometry import geometry_of
+
+    return {GEOMETRY: (MEDIA_TYPE, geometry_of(model))}
 
 
 def step_of(env: Any) -> float | None:

@@ -1,0 +1,21 @@
+"""What a process learns of its parent's end: a parent that is killed (SIGKILL) tells nobody, but Linux does."""
+
+from __future__ import annotations
+
+import ctypes
+import signal
+import sys
+from collections.abc import Callable
+
+_SET_PDEATHSIG = 1  # prctl(2)
+
+
+def signalled_at_its_end(number: signal.Signals) -> Callable[[], object] | None:
+    """A function after whose call this process gets a signal once its parent has ended; None but on Linux.
+
+    For subprocess's `preexec_fn`: nothing is loaded by the call itself, which a child makes between fork and exec.
+    """
+    if not sys.platform.startswith("linux"):
+        return None
+    prctl = ctypes.CDLL(None).prctl
+    return lambda: prctl(_SET_PDEATHSIG, int(number), 0, 0, 0)

@@ -1,0 +1,118 @@
+"""gsb-compare on recordings of tasks: episodes of head beside those of base, with environments as units."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gpusimbench import open_recording
+from gpusimbench.evaluator.cli.compare import main
+from gpusimbench.evaluator.episodes.comparison import compare as compare_policies
+from gpusimbench.evaluator.episodes.side import choose, read_side
+from gpusimbench.evaluator.episodes.success import At
+from tests.conftest import made_once
+from tests.scripts import example
+
+pytest.importorskip("gymnasium")
+search = example("search")
+
+
+def recorded(policy: str, n_env: int, per_env: int, copy: int = 0, seed: int = 0) -> Path:
+    """A recording with that many episodes of each environment, made once for each copy."""
+    name = f"compared-{policy}-{n_env}-{per_env}-{copy}-{seed}"
+    folder = made_once(name, lambda at: search.record(policy, at / f"{name}.mcap", n_env, per_env, seed))
+    return folder / f"{name}.mcap"
+
+
+def compared(*arguments: object, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any], dict[str, Any]]:
+    """Exit code, the one configuration of the JSON, and its findings by name."""
+    code = main([*map(str, arguments), "--no-cache", "--json", "-"])
+    (configuration,) = json.loads(capsys.readouterr().out)["compared"]
+    return code, configuration, {finding["name"]: finding for finding in configuration["findings"]}
+
+
+def test_a_policy_that_is_worse(capsys: pytest.CaptureFixture[str]) -> None:
+    """Fail the gate of episodes by the differences that gsb-episodes finds, and pass it the other way round."""
+    near, sweep = recorded("near", 64, 4), recorded("sweep", 64, 4)
+    policies = [choose(read_side([open_recording(path)]), 4, "success", At.LAST) for path in (sweep, near)]
+    wanted = {one.name: one for one in compare_policies(*policies).differences}
+    code, _, found = compared(near, sweep, capsys=capsys)
+    assert code == 4
+    for name, one in wanted.items():
+        assert found[name]["change"] == "regression" and found[name]["fails"]
+        assert found[name]["head"] - found[name]["base"] == pytest.approx(one.difference)
+        assert found[name]["difference_ci95"] == pytest.approx(one.ci95)
+        assert found[name]["p_value"] == one.p_value
+    assert "began alike" in found["return"]["method"]
+    assert found["length"]["change"] == "changed" and not found["length"]["gated"]
+    code, _, found = compared(sweep, near, "--gate", "episodes", capsys=capsys)
+    assert code == 0 and found["return"]["change"] == found["success"]["change"] == "improvement"
+    assert compared(sweep, near, "--gate", "lengths", capsys=capsys)[0] == 4
+
+
+def test_one_run_twice(capsys: pytest.CaptureFixture[str]) -> None:
+    """Say of two runs that agree in every bit that they do, in states and in episodes, without a test."""
+    code, _, found = compared(
+        recorded("near", 64, 4), recorded("near", 64, 4, copy=1), "--gate", "episodes,lengths,bits", capsys=capsys
+    )
+    assert code == 0
+    assert {found[name]["change"] for name in ("states", "success", "return", "length")} == {"same"}
+    assert found["return"]["p_value"] is None
+
+
+def test_repetitions_are_no_further_environments(capsys: pytest.CaptureFixture[str]) -> None:
+    """Give copies of a run the same interval as the run: runs with one seed are means of their environments."""
+    near, sweep = ([recorded(policy, 64, 4, copy) for copy in range(3)] for policy in ("near", "sweep"))
+    once = compared(near[0], sweep[0], capsys=capsys)[2]["return"]
+    thrice = compared("--base", *near, "--head", *sweep, capsys=capsys)[2]["return"]
+    assert thrice["n"] == {"base": 3, "head": 3}
+    assert thrice["difference_ci95"] == pytest.approx(once["difference_ci95"])
+    assert thrice["p_value"] == once["p_value"]
+
+
+def test_other_numbers_of_environments(capsys: pytest.CaptureFixture[str]) -> None:
+    """Compare across n_env without pairs; leave what too few environments cannot show to nobody's guess."""
+    code, configuration, found = compared(
+        recorded("near", 64, 4), recorded("sweep", 16, 4), "--across", "n_env", "--gate", "episodes", capsys=capsys
+    )
+    assert "n_env: 64 -> 16" in configuration["differs"] and "not paired" in found["return"]["method"]
+    low, high = found["return"]["difference_ci95"]
+    assert low < found["return"]["head"] - found["return"]["base"] < high
+    code, _, found = compared(recorded("near", 2, 4), recorded("sweep", 2, 4), "--gate", "episodes", capsys=capsys)
+    assert code == 5
+    assert found["return"]["undecided"] == "too few environments" and found["return"]["least_p"] == 0.5
+
+
+def test_episodes_that_did_not_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Decide nothing where an environment has no finished episode; name the environment."""
+    import gymnasium
+
+    from gpusimbench import wrap
+
+    envs = wrap(gymnasium.vector.SyncVectorEnv([search.Search] * 64), tmp_path / "a.mcap", steps=2, infos=("success",))
+    envs.reset(seed=0)
+    for _ in range(2):
+        envs.step(np.zeros(64, dtype=np.int64))
+    envs.close()
+    code, _, found = compared(tmp_path / "a.mcap", recorded("near", 64, 4), "--gate", "episodes", capsys=capsys)
+    assert code == 5
+    assert found["return"]["change"] == "not compared"
+    assert "no episode of environment" in found["return"]["undecided"]
+
+
+def test_single_runs_that_part(capsys: pytest.CaptureFixture[str]) -> None:
+    """Print the first step at which two single runs differ, though two runs do not decide a gate of bits."""
+    main([str(recorded("near", 64, 4)), str(recorded("sweep", 64, 4)), "--no-cache"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "states of head and base: they differ from step 1 on" in said
+    assert "return of episodes" in said and "REGRESSION" in said
+
+
+def test_a_history_has_no_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Refuse a gate that nothing would decide, instead of passing it."""
+    assert main(["--history", str(tmp_path), "--gate", "throughput,episodes"]) == 2
+    assert "--history has no curves of episodes" in capsys.readouterr().err
