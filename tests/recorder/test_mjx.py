@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gpusimbench.recorder.environments.interpreter import own
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.run.vary import refusal, variation
 from gpusimbench.recorder.scenes.franka import franka
@@ -34,6 +36,14 @@ LEVELS = {
     "exclude-nondeterministic": "--xla_gpu_exclude_nondeterministic_ops=true",
     "run-to-run": "--xla_gpu_deterministic_ops=true --xla_gpu_autotune_level=0",
 }
+
+
+def test_precision_of_products_is_the_variables(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A run's process is given the user's variable; its switches, which group runs, say what JAX made of it."""
+    monkeypatch.setenv("JAX_DEFAULT_MATMUL_PRECISION", "highest")
+    script = "from gpusimbench.recorder.simulators.jax.runtime import switches; print(switches('default'))"
+    done = run_python(script, code=None, env=own().environment(tmp_path))
+    assert (done.returncode, "'matmul_precision': 'highest'" in done.stdout) == (0, True), done.stderr
 
 
 @pytest.mark.parametrize(("level", "flags"), LEVELS.items())

@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 MODES = {"default": "not_guaranteed", "run-to-run": "run_to_run", "gpu-to-gpu": "gpu_to_gpu"}
 """Isaac Lab's deterministic_mode by determinism level."""
 
+_FAULTY = "3."
+"""Releases of MuJoCo Warp, as far as Isaac Lab 3.0 takes them, whose Hessian of an elliptic cone is indefinite where a
+contact slips by less than 1e-5 m/s^2: 3.12 bounds the cube of the slip by the constant meant for the slip itself, 4.0
+does not."""
+
 _MARGIN = 2.5  # cubes that touch settle under other contacts: on an H200 rows came to 1.6 times those of MuJoCo C
 
 
@@ -161,6 +166,17 @@ class Newton:
             "deterministic_mode": self._mode,
             "contacts": "MuJoCo Warp",
         }
+
+    def remarks(self) -> tuple[str, ...]:
+        """What is known of this release and these options, and makes runs INVALID."""
+        import mujoco_warp
+
+        if self._options.cone != "elliptic" or not mujoco_warp.__version__.startswith(_FAULTY):
+            return ()
+        return (
+            f"MuJoCo Warp {mujoco_warp.__version__} with elliptic cones: where touching bodies hardly slip, states can "
+            "become not finite (mended in 4.0); cone=pyramidal does not have this fault",
+        )
 
     def gates(self) -> list[str]:
         """What is dropped shows as bits."""

@@ -145,6 +145,10 @@ class Physx:
         environments = "clones of the first, told apart by numbers" if self._gpu else "parsed one by one"
         return {**found, "ovphysx": metadata.version("ovphysx"), "environments": environments}
 
+    def remarks(self) -> tuple[str, ...]:
+        """What PhysX has to say, it prints."""
+        return ()
+
     def gates(self) -> list[str]:
         """Lines that PhysX has printed of what it dropped, and of errors."""
         patterns = (*_LOST, *_ERRORS, *((_NOT_ON_THE_GPU,) if self._gpu else ()))

@@ -140,7 +140,7 @@ class IsaacLab(Simulator):
             buffers=self._physics.buffers,
             counters=self._physics.counters,
             overflow_bits=self._physics.overflow_bits,
-            remarks=self._world.warnings,
+            remarks=(*self._world.warnings, *self._physics.remarks()),
         )
 
     def _deviations(self) -> tuple[Deviation, ...]:
