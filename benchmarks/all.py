@@ -20,6 +20,7 @@ SCRIPTS = (
     ("transport",),
     ("transport_large",),
     ("wrap_overhead",),
+    ("wrap_overhead", "--kind", "brax", "--n-env", "256", "--steps", "1500", "--rounds", "5"),
     ("array_hashes",),
     ("engine_best", "--sim", "warp", "--n-env", "64", "--steps", "50"),
 )

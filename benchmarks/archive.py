@@ -9,7 +9,6 @@ that begin with velocities 1e-5 m/s and rad/s apart, and so end up to centimetre
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -22,6 +21,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording
 from gpusimbench.schemas import topics
@@ -112,8 +112,7 @@ def _measure(name: str, arrays: Arrays, repeats: int) -> None:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--repeats", type=int, default=5)
+    p = parser(__doc__, repeats=5)
     p.add_argument("files", nargs="*", type=Path, metavar="FILE")
     a = p.parse_args()
     print(f"machine: {machine()}")

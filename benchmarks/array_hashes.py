@@ -9,7 +9,6 @@ host, are the same.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import importlib.util
 import time
@@ -18,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench.recorder.capture.array_hashes import hashed
 
@@ -44,9 +44,8 @@ def report(what: str, numbers: int, times: tuple[list[float], list[float]]) -> N
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, rounds=9)
     p.add_argument("--numbers", default="10000,1000000,10000000")
-    p.add_argument("--rounds", type=int, default=9)
     a = p.parse_args()
     print(f"machine  {machine()}")
     for count in map(int, a.numbers.split(",")):

@@ -10,7 +10,6 @@ left to write after the last step, as a part of the capture. "memory" is by how 
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording
 from gpusimbench.recorder.capture.states import row_bytes
@@ -72,12 +72,9 @@ def cost_of(path: Path) -> Cost:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, n_env=64, steps=300, rounds=3)
     p.add_argument("--sim", default="mujoco")
     p.add_argument("--scene", default="inclined-collision")
-    p.add_argument("--n-env", type=int, default=64)
-    p.add_argument("--steps", type=int, default=300)
-    p.add_argument("--rounds", type=int, default=3)
     p.add_argument("--modes", default=",".join(MODES))
     p.add_argument("--option", action="append", default=[])
     p.add_argument("--out", type=Path, help="keep the recordings here")

@@ -8,13 +8,13 @@ usage: python -m benchmarks.coverage [--replications 300] [--seed 0]
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import stdtrit
 
+from benchmarks.arguments import parser
 from gpusimbench.evaluator.metrics.regime import Regime, published_regime
 from gpusimbench.evaluator.statistics.energy import energy_distance
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
@@ -265,7 +265,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def main() -> None:
     """Simulate and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__)
     p.add_argument("--replications", type=int, default=300, help="sets of runs for each row (default: %(default)s)")
     p.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: %(default)s)")
     a = p.parse_args()

@@ -12,7 +12,6 @@ is no claim. mjwarp-testspeed needs a GPU; where a tool cannot run, the line say
 
 from __future__ import annotations
 
-import argparse
 import re
 import shutil
 import subprocess
@@ -20,6 +19,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from benchmarks.work import Done
 from gpusimbench import open_recording
@@ -83,12 +83,9 @@ def tool(sim: str, model: Path, recording: Recording, steps: int) -> float | Non
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, n_env=1024, steps=500, rounds=3)
     p.add_argument("--sim", choices=("warp", "mjx"), required=True)
     p.add_argument("--scene", default="free-fall")
-    p.add_argument("--n-env", type=int, default=1024)
-    p.add_argument("--steps", type=int, default=500)
-    p.add_argument("--rounds", type=int, default=3)
     a = p.parse_args()
     ours: list[float] = []
     loops: list[Done] = []

@@ -5,7 +5,6 @@ usage: python -m benchmarks.evaluate_set [--repeats 5]
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import resource
 import subprocess
@@ -14,6 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 
 
@@ -31,8 +31,7 @@ def _worked() -> float:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__)
-    p.add_argument("--repeats", type=int, default=5)
+    p = parser(__doc__, repeats=5)
     a = p.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(

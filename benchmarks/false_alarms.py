@@ -11,7 +11,6 @@ is `evaluator.compare.compare`, which gsb-compare calls with what it read from f
 
 from __future__ import annotations
 
-import argparse
 import csv
 import subprocess
 import sys
@@ -24,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from benchmarks.arguments import parser
 from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compare.compare import compare
 from gpusimbench.evaluator.compare.finding import DEFAULT_GATES, Settings
@@ -304,7 +304,7 @@ def read_run(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -
 
 def main() -> None:
     """Record, read, or print the tables."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__)
     p.add_argument("--record", type=int, metavar="N", help="make N runs")
     p.add_argument("--out", type=Path, default=Path("false-alarms"), metavar="DIR", help="of --record")
     p.add_argument("--read", nargs="+", metavar="ARM=DIR", help="write the CSV from the recordings of folders")

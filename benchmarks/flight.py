@@ -11,7 +11,6 @@ the two bare durations. --within makes environments fail, and --spread lets them
 
 from __future__ import annotations
 
-import argparse
 import gc
 import tempfile
 import time
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench.recorder.capture.flight import FlightWriter
 from gpusimbench.recorder.capture.sink import Sink
@@ -95,12 +95,9 @@ class Bench:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, n_env=64, steps=200, rounds=5)
     p.add_argument("--sim", default="warp")
     p.add_argument("--scene", default="inclined-collision")
-    p.add_argument("--n-env", type=int, default=64)
-    p.add_argument("--steps", type=int, default=200)
-    p.add_argument("--rounds", type=int, default=5)
     p.add_argument("--within", type=float)
     p.add_argument("--spread", type=float)
     p.add_argument("--option", action="append", default=[])

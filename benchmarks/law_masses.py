@@ -12,7 +12,6 @@ scatter between environments. Of every law with a slope of 0 for the mass, this 
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.arguments import end_table, of_counts
 from benchmarks.law_changes import EVERY_MASS, Change
 from benchmarks.law_power import N_ENV, Setting, engine, judged, measured, share
 
@@ -71,11 +71,8 @@ def rows(setting: Setting, repetitions: int, by: float) -> Iterator[str]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = of_counts(__doc__)
     parser.add_argument("--share", type=float, default=0.2, help="by which masses are changed")
-    parser.add_argument("--repetitions", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=1, help="of the first recording")
-    parser.add_argument("--out", type=Path, help="file for the table, which docs/make_power.py puts into the page")
     given = parser.parse_args()
     lines = [HEAD]
     print(HEAD)
@@ -87,10 +84,7 @@ def main() -> None:
                 lines.append(row)
         made = engine(settings[0])
     said = f"{made}, {N_ENV} environments, {given.repetitions} repetitions, masses {100 * given.share:g} % up or down."
-    lines += ["", said]
-    print(said)
-    if given.out:
-        given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    end_table(lines, said, given.out)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ breaks without any change claims no size for its verdict.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,6 +25,7 @@ from typing import TypeVar
 import numpy as np
 from scipy import stats
 
+from benchmarks.arguments import end_table, of_counts
 from benchmarks.law_changes import BUILT, POSITIVE, WHOLE, Change, change_model, changed_scene
 from gpusimbench import RecordingWriter, Scene, Simulator, open_recording
 from gpusimbench.evaluator.missing import Missing
@@ -244,15 +244,12 @@ def engine(setting: Setting) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = of_counts(__doc__)
     parser.add_argument("--sim", default="mujoco")
     parser.add_argument("--option", action="append", default=[], metavar="NAME=VALUE", help="of the simulator")
     parser.add_argument("--scene", choices=SPREAD, action="append", help="default: pendulum and sliding-block")
     parser.add_argument("--dt", default="0.01,0.004", help="steps [s]")
     parser.add_argument("--parameter", default="", help="count its claims alone")
-    parser.add_argument("--repetitions", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=1, help="of the first recording")
-    parser.add_argument("--out", type=Path, help="file for the table, which docs/make_power.py puts into the page")
     given = parser.parse_args()
     options = dict(one.split("=", 1) for one in given.option)
     scenes = given.scene or ["pendulum", "sliding-block"]
@@ -266,10 +263,7 @@ def main() -> None:
                 print("\n".join(rows), flush=True)
                 lines += rows
         made = engine(Setting(given.sim, scenes[0], 0.01, Path(folder), options))
-    lines += ["", f"{made}, {N_ENV} environments, {given.repetitions} repetitions."]
-    print("\n".join(lines[-2:]))
-    if given.out:
-        given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    end_table(lines, f"{made}, {N_ENV} environments, {given.repetitions} repetitions.", given.out)
 
 
 if __name__ == "__main__":

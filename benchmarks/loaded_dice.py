@@ -10,7 +10,6 @@ test has with them; the other half, which are independent, tell how many recordi
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from benchmarks.arguments import end_table, of_counts
 from benchmarks.law_changes import Change
 from benchmarks.law_power import Setting, engine, judged, record
 from gpusimbench.evaluator.missing import Missing
@@ -85,12 +85,8 @@ def row(setting: Setting, share: float, repetitions: int) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = of_counts(__doc__, n_env=64)
     parser.add_argument("--shares", default="0,0.02,0.04,0.06", help="by which the centre of mass is moved")
-    parser.add_argument("--n-env", type=int, default=64)
-    parser.add_argument("--repetitions", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=1, help="of the first recording")
-    parser.add_argument("--out", type=Path, help="file for the table, which docs/make_power.py puts into the page")
     given = parser.parse_args()
     lines = [HEAD]
     print(HEAD)
@@ -99,10 +95,8 @@ def main() -> None:
         for share in map(float, given.shares.split(",")):
             lines.append(row(setting, share, given.repetitions))
             print(lines[-1], flush=True)
-        lines += ["", f"{engine(setting)}, {12 * given.n_env} dice in a recording, {given.repetitions} repetitions."]
-    print("\n".join(lines[-2:]))
-    if given.out:
-        given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        said = f"{engine(setting)}, {12 * given.n_env} dice in a recording, {given.repetitions} repetitions."
+    end_table(lines, said, given.out)
 
 
 if __name__ == "__main__":

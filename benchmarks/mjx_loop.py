@@ -9,7 +9,6 @@ floor; the others are ratios to it. Final states are compared with those of the 
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
 from gpusimbench.recorder.probes.gpu import Gpus
@@ -89,11 +89,8 @@ def loops(simulator: Mjx, n_step: int) -> dict[str, Loop]:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, n_env=1024, steps=300, rounds=3)
     p.add_argument("--scene", default="franka")
-    p.add_argument("--n-env", type=int, default=1024)
-    p.add_argument("--steps", type=int, default=300)
-    p.add_argument("--rounds", type=int, default=3)
     a = p.parse_args()
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     simulator = Mjx(make_scene(a.scene), n_env=a.n_env, dt=0.01, seed=0, options=MjxOptions())

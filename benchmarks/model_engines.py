@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.arguments import parser
 from gpusimbench.recorder.environments.choice import interpreter_for
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
@@ -56,10 +57,9 @@ _EXPECTED = (
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, steps=20)
     p.add_argument("--models", default="")
     p.add_argument("--engines", default=",".join(ENGINES))
-    p.add_argument("--steps", type=int, default=20)
     p.add_argument("--integrator", default="")
     p.add_argument("--one", help=argparse.SUPPRESS)
     p.add_argument("files", nargs="*", type=Path, help=argparse.SUPPRESS)

@@ -16,17 +16,15 @@ import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording
 
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, n_env=8192, steps=1000, rounds=4)
     p.add_argument("model", type=Path)
-    p.add_argument("--n-env", type=int, default=8192)
-    p.add_argument("--steps", type=int, default=1000)
-    p.add_argument("--rounds", type=int, default=4)
     asked = p.parse_args()
     buffers: dict[str, int] = {}
     with tempfile.TemporaryDirectory() as folder:

@@ -8,7 +8,6 @@ core worked on it, whatever their number.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import mmap
 import tempfile
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording
 from gpusimbench.evaluator.read.recording import Recording
@@ -107,10 +107,7 @@ WORK: dict[str, Callable[[Path], None]] = {
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__)
-    p.add_argument("--repeats", type=int, default=5)
-    p.add_argument("--n-env", type=int, default=1024)
-    p.add_argument("--steps", type=int, default=340)
+    p = parser(__doc__, repeats=5, n_env=1024, steps=340)
     a = p.parse_args()
     clock: dict[str, list[float]] = {name: [] for name in WORK}
     cores: dict[str, list[float]] = {name: [] for name in WORK}

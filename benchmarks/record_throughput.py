@@ -5,7 +5,6 @@ usage: python -m benchmarks.record_throughput [--pairs 7] [--n-env 16] [--steps 
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
@@ -53,10 +53,7 @@ def bare(path: Path, n_env: int, steps: int) -> float:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__)
-    p.add_argument("--pairs", type=int, default=7)
-    p.add_argument("--n-env", type=int, default=16)
-    p.add_argument("--steps", type=int, default=300)
+    p = parser(__doc__, pairs=7, n_env=16, steps=300)
     a = p.parse_args()
     ours, theirs = [], []
     with tempfile.TemporaryDirectory() as folder:

@@ -8,7 +8,6 @@ usage: python -m benchmarks.scale [--recordings 1000000] [--runs 10] [--cores 64
 
 from __future__ import annotations
 
-import argparse
 import gc
 import resource
 import subprocess
@@ -22,6 +21,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine
 from benchmarks.scale_cost import Plan, Prices, Rates, extrapolate
 from benchmarks.scale_runs import SHIPPED, record
@@ -178,13 +178,10 @@ def report(rates: Rates, command_s: float, runs: int) -> str:
 
 def main() -> None:
     """Measure, extrapolate and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, n_env=16, steps=500, cores=64)
     p.add_argument("--recordings", type=int, default=1_000_000, help="to extrapolate to")
     p.add_argument("--runs", type=int, default=10, help="of a group; so many are made and measured")
-    p.add_argument("--n-env", type=int, default=16)
-    p.add_argument("--steps", type=int, default=500)
     p.add_argument("--points", type=int, default=110_592, help="of the certified pair")
-    p.add_argument("--cores", type=int, default=64)
     p.add_argument("--shard", type=int, default=1000, help="groups of one gsb-eval")
     p.add_argument("--core-hour", type=float, default=Prices.core_hour, help="assumed price [$]")
     p.add_argument("--gb-month", type=float, default=Prices.gb_month, help="assumed price [$]")

@@ -5,11 +5,11 @@ usage: python -m benchmarks.start_up [--repeats 15]
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import time
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 
 COMMANDS = {"gsb-record": "gpusimbench.recorder.cli", "gsb-eval": "gpusimbench.evaluator.cli.eval"}
@@ -23,8 +23,7 @@ def _timed(*arguments: str) -> float:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__)
-    p.add_argument("--repeats", type=int, default=15)
+    p = parser(__doc__, repeats=15)
     a = p.parse_args()
     times: dict[str, list[float]] = {name: [] for name in ("python -c pass", *COMMANDS)}
     for _ in range(a.repeats):

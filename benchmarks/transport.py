@@ -10,7 +10,6 @@ among them with one; and runs of --points points against each other. Compilation
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import time
 import warnings
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine
 from gpusimbench.evaluator.metrics.variability import parallel_variability, run_to_run_variability
 from gpusimbench.evaluator.transport.small import KERNEL_PAIRS, pairwise_summary, pairwise_wasserstein1
@@ -101,11 +101,9 @@ def _runs_beside(name: str, runs: Points, peers: dict[str, Peer]) -> None:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, n_item=27, runs=10)
     p.add_argument("--n-env", type=int, default=4096, help="environments of the whole calls")
-    p.add_argument("--n-item", type=int, default=27)
     p.add_argument("--peer-pairs", type=int, default=2000, help="about how many pairs peers solve")
-    p.add_argument("--runs", type=int, default=10)
     p.add_argument("--points", type=int, default=432, help="of a run")
     a = p.parse_args()
     print(f"machine: {machine()}; seconds are of the CPU, all threads together")

@@ -8,7 +8,6 @@ usage: python -m benchmarks.transport_large [--peer-points 5000]
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import tempfile
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine
 
 N_ITEM = 27
@@ -78,7 +78,7 @@ def _exact(a: Floats, b: Floats) -> float:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__)
     p.add_argument("--peer-points", type=int, default=2000, help="points where the exact solvers run too")
     a = p.parse_args()
     with tempfile.TemporaryDirectory() as cache:

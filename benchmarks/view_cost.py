@@ -10,7 +10,6 @@ which the engine waited for the writer.
 
 from __future__ import annotations
 
-import argparse
 import resource
 import statistics
 import subprocess
@@ -19,6 +18,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording
 
@@ -59,12 +59,11 @@ def record(arguments: list[str], folder: str) -> Cost:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, rounds=5)
     p.add_argument("--sim", default="mujoco")
     p.add_argument("--scene", default="inclined-collision")
     p.add_argument("--n-env", default="16,4096")
     p.add_argument("--steps", default="500,20", help="one for each number of environments")
-    p.add_argument("--rounds", type=int, default=5)
     p.add_argument("--envs", default="1,4", help="environments in the view")
     p.add_argument("--option", action="append", default=[])
     a = p.parse_args()

@@ -18,7 +18,6 @@ has to differ, too: then it is the device that does not repeat itself. mjx needs
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
 import time
@@ -29,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording, wrap
 
@@ -112,12 +112,9 @@ def functional_round(
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = parser(__doc__, n_env=64, steps=200, rounds=9)
     p.add_argument("--kind", choices=TASKS, default="gymnasium")
     p.add_argument("--task", default="", help="of the kind's registry")
-    p.add_argument("--n-env", type=int, default=64)
-    p.add_argument("--steps", type=int, default=200)
-    p.add_argument("--rounds", type=int, default=9)
     p.add_argument("--physics", action="store_true", help="record qpos and qvel too, of functional tasks")
     a = p.parse_args()
     name, functional = a.task or TASKS[a.kind], a.kind != "gymnasium"

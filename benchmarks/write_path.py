@@ -8,7 +8,6 @@ machine does; the CPU time for each byte, of all threads, depends on it less.
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
 import time
@@ -19,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
@@ -67,9 +67,7 @@ def hashed(blocks: Blocks) -> float:
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__)
-    p.add_argument("--repeats", type=int, default=7)
-    p.add_argument("--n-env", type=int, default=64)
+    p = parser(__doc__, repeats=7, n_env=64)
     p.add_argument("--megabytes", type=int, default=1000, help="of states, at least")
     a = p.parse_args()
     fields = [body_field("cubes", name, "float32", tuple(map(str, range(28)))) for name in BODY_FIELDS]

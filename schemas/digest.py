@@ -19,6 +19,7 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.schemas.blocks import little_endian, raw_bytes
@@ -67,6 +68,12 @@ class ContentDigest:
         arrays = [little_endian(column) for column in columns]
         if len(arrays) == 1:
             digest.update(raw_bytes(arrays[0]))
+            return
+        together = _JOINED_BYTES // max(1, sum(array[:1].nbytes for array in arrays))
+        if together > 1:  # small rows are copied together, since each call costs more than they do
+            for begin in range(0, max(map(len, arrays)), together):
+                parts = [array[begin : begin + together] for array in arrays]
+                digest.update(raw_bytes(np.concatenate(parts, axis=1, dtype=arrays[0].dtype)))
             return
         for row in zip(*arrays, strict=True):
             for part in row:

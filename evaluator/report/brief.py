@@ -17,6 +17,7 @@ from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.sections.episodes import counts_of, mean_of
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
@@ -127,6 +128,10 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for place, rows in tables.items():
         shown = table("groups", place, titles, rows)
         yield shown.without_empty_columns() if several else shown
+    for result in results:
+        speed = result.metrics[FPS.name]
+        if (mean := known(speed.value)) is not None and (speeds := speed.of(Throughput).speeds):
+            yield Text(f"{result.label}: {speeds.note(mean)}", Tone.WARNING)
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:

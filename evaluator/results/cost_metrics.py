@@ -12,9 +12,19 @@ from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import MEDIAN, Runs
-from gpusimbench.evaluator.results.details import CaptureOverhead, Memory, RunPresence, SharedRun, ShrunkRun, Throughput
+from gpusimbench.evaluator.results.details import (
+    CaptureOverhead,
+    DistinctRuns,
+    Memory,
+    RunPresence,
+    SharedRun,
+    ShrunkRun,
+    Throughput,
+)
 from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, each, missing, over_runs
+from gpusimbench.evaluator.results.speeds import Speeds, speeds_of
 from gpusimbench.evaluator.runs.run import Run
 
 _NOT_SAMPLED = "the timed phase was left out, or no memory was sampled in it"
@@ -29,7 +39,18 @@ def _fps(run: Run) -> float | Missing:
 
 def _throughput(group: GroupRuns) -> Throughput:
     simulation = group.runs[0].simulation
-    return Throughput(timing_covers=simulation.timing_covers if simulation else "", co_tenants=_presence(group.runs))
+    return Throughput(
+        timing_covers=simulation.timing_covers if simulation else "", co_tenants=_presence(group.runs),
+        speeds=_speeds(group),
+    )  # fmt: skip
+
+
+def _speeds(group: GroupRuns) -> Speeds | None:
+    """By outcome, where runs have several outcomes and throughput goes with them."""
+    classes = DISTINCT_RUNS.estimate(group).of(DistinctRuns).classes
+    hashed = [_fps(run) for run in group.runs if run.histories] if classes else []
+    timed = [(fps, label) for fps, label in zip(hashed, classes, strict=True) if not isinstance(fps, Missing)]
+    return speeds_of([fps for fps, _ in timed], [label for _, label in timed])
 
 
 def _presence(runs: Runs) -> tuple[RunPresence, ...] | None:
@@ -163,7 +184,8 @@ def _capture(group: GroupRuns) -> CaptureOverhead:
 
 FPS = Metric(
     "fps", "throughput", "env-steps/s", Direction.HIGHER,
-    "environment-steps per second of the timed phase, N_env * N_step / T_step; mean over runs",
+    "environment-steps per second of the timed phase, N_env * N_step / T_step; mean over runs. `speeds`: runs, "
+    "slowest and fastest run of each outcome, if throughput [goes with the outcome](#throughput-by-outcome)",
     method="N_env * N_step / T_step of the timed phase", published=True,
     values=each(_fps), details=_throughput, axis=Axis.THROUGHPUT, radar=RadarAxis.THROUGHPUT,
 )  # fmt: skip

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.metrics.levels import Worst
 from gpusimbench.evaluator.metrics.memory import Checkpoints
 from gpusimbench.evaluator.metrics.split_tree import SplitTree
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.speeds import Speeds
 from gpusimbench.evaluator.statistics.floor import Floor
 
 _OPTIONAL = {"optional": True}
@@ -72,10 +73,12 @@ class Throughput(OverRuns):
 
     timing_covers  what lies between the clocks, in the words of the simulator
     co_tenants     by run; None where the simulator ran on the CPU
+    speeds         by outcome; None where throughput is not shown to go with the outcome
     """
 
     timing_covers: str = ""
     co_tenants: tuple[RunPresence, ...] | None = None
+    speeds: Speeds | None = field(default=None, metadata=_OPTIONAL)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from gpusimbench.evaluator.results.accumulation import accumulations
 from gpusimbench.evaluator.results.canonical import laws
 from gpusimbench.evaluator.results.convergence import convergences
 from gpusimbench.evaluator.results.density_maps import reference_density, shared_map, with_cloud
-from gpusimbench.evaluator.results.details import SunkCubes
+from gpusimbench.evaluator.results.details import SunkCubes, Throughput
 from gpusimbench.evaluator.results.determinism_cost import price_list
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import fidelity
@@ -316,6 +316,9 @@ def _warnings(result: GroupResult) -> list[str]:
             f"bodies through the floor: {mean} per env by step {details.last_step}, the first at step "
             f"{details.first_step}"
         )
+    fps = result.metrics["fps"]
+    if not isinstance(fps.value, Missing) and (speeds := fps.of(Throughput).speeds):
+        notes.append(speeds.note(fps.value))
     if any(len(applied.sha256) > 1 for applied in result.validity.actions):
         notes.append("the runs were given different actions, so they differ by design")
     return notes

@@ -10,12 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from gpusimbench import UsageError, open_recording, record_rollout, verify, wrap
 from gpusimbench.evaluator.diff import compare
 from gpusimbench.evaluator.player.poses import items_of
 from gpusimbench.evaluator.read.episodes import count_episodes, episodes
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.recorder.vector.device import rows
+from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 from gpusimbench.schemas.images import image_hashes
 
 pytest.importorskip("brax")
@@ -168,6 +171,39 @@ def test_steps_transfer_nothing(tmp_path: Path) -> None:
     for action in actions[45:]:
         state = recorded.step(state, action)
     assert read(tmp_path / "a.mcap").status == "complete"
+
+
+def test_the_file_does_not_depend_on_when_blocks_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the same messages where a block is taken after 50 rows, after 400, and at the end."""
+    actions, found, take = drawn(410), {}, JaxRows._take
+    for wait in (0.0, 1e9):
+        monkeypatch.setattr(rows, "_WAIT_S", wait)
+        taken: list[int] = []
+
+        def counted(own: JaxRows, filled: int, taken: list[int] = taken) -> Any:
+            taken.append(filled)
+            return take(own, filled)
+
+        monkeypatch.setattr(JaxRows, "_take", counted)
+        recorded = wrap(falling(), tmp_path / f"{wait}.mcap", steps=410, dt=0.1)
+        state = recorded.reset(keys())
+        for action in actions:
+            state = recorded.step(state, action)
+        assert taken == [1, *([50] * 8 if wait == 0.0 else [400]), 10]
+        assert read(tmp_path / f"{wait}.mcap").status == "complete"
+        with (tmp_path / f"{wait}.mcap").open("rb") as stream:
+            messages = make_reader(stream).iter_messages(log_time_order=False)
+            of_states = [(c.topic, m.data) for _, c, m in messages if c.topic.startswith(("/state", "/fingerprint"))]
+        found[wait] = of_states
+    assert len(found[0.0]) > 9 and found[0.0] == found[1e9]
+
+
+@pytest.mark.parametrize(
+    ("size", "most"), [(1, 400), (40_000, 400), (100_000, 150), (1 << 20, 50), (4 << 20, 32), (1 << 30, 1)]
+)
+def test_rows_of_a_block(size: int, most: int) -> None:
+    """Wait for more rows only where these are small; a block is whole blocks of the file, or no more than 128 MiB."""
+    assert rows._rows_of(size) == most
 
 
 def test_resets_of_the_user(tmp_path: Path) -> None:

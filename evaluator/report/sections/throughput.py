@@ -97,9 +97,11 @@ def _timed(column: timed.Column) -> Written:
 
 
 def _below(result: GroupResult) -> Iterable[str]:
-    """What stands below a throughput: others on the GPU, the solver's settings, and what was timed."""
+    """What stands below a throughput: its ranges by outcome, others on the GPU, settings in force, what was timed."""
     told, covers = words.shared(result.metrics[FPS.name]), result.metrics[FPS.name].of(Throughput).timing_covers
     force = timed.settings(result.timed)
+    if speeds := result.metrics[FPS.name].of(Throughput).speeds:
+        yield f"by outcome: {speeds.ranges}"
     if told:
         yield f"another process on the GPU: {told}"
     yield from _fewer(FPS)(result)

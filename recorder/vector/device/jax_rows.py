@@ -27,7 +27,7 @@ class JaxRows(Rows):
 
     def _put(self, row: Arrays, at: int) -> None:
         if missing := [name for name in row if name not in self._block]:
-            self._block |= _zeros({name: row[name] for name in missing}, self._most)
+            self._block |= _zeros()({name: row[name] for name in missing}, self._most)
             self._places = self._places or _numbers(self._most)
         part = {name: self._block[name] for name in row}
         self._block |= _write()(part, dict(row), self._places[at])
@@ -58,13 +58,17 @@ def _write() -> Callable[..., dict[str, Any]]:
     return compiled
 
 
-def _zeros(row: Arrays, rows: int) -> dict[str, Any]:
+@cache
+def _zeros() -> Callable[..., dict[str, Any]]:
+    import jax
     import jax.numpy as jnp
 
-    return {
-        name: jnp.zeros((rows, *shape), dtype)
-        for name, (dtype, shape) in ((name, JaxRows.described(array)) for name, array in row.items())
-    }
+    def zeros(row: dict[str, Any], rows: int) -> dict[str, Any]:
+        described = {name: JaxRows.described(array) for name, array in row.items()}
+        return {name: jnp.zeros((rows, *shape), dtype) for name, (dtype, shape) in described.items()}
+
+    compiled: Callable[..., dict[str, Any]] = jax.jit(zeros, static_argnums=1)
+    return compiled
 
 
 def _numbers(rows: int) -> list[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -27,6 +28,12 @@ _Layout = dict[str, tuple[Any, tuple[int, ...]]]
 
 _BLOCK_BYTES = 128 << 20  # that a block may take on the device; images of many environments take that in one row
 
+# Blocks of small rows wait for more rows, at most so many, so long and of so many bytes: each block that is handed over
+# wakes two threads and waits for the interpreter's lock, which on two busy cores costs as much as 30 rows.
+_MOST_ROWS = 8 * STEPS_PER_BLOCK
+_WAIT_S = 0.25
+_WAIT_BYTES = 16 << 20
+
 
 def check_envs(row: Arrays) -> None:
     """UsageError where arrays are not of as many environments as there are rewards, or a flag is not one for each."""
@@ -47,6 +54,12 @@ def _layout(row: Arrays) -> _Layout:
     }
 
 
+def _rows_of(size: int) -> int:
+    """How many rows of so many bytes a block has: whole blocks of the file, if one of them fits."""
+    least = max(1, min(STEPS_PER_BLOCK, _BLOCK_BYTES // size))
+    return max(least, min(_MOST_ROWS, _WAIT_BYTES // size // STEPS_PER_BLOCK * STEPS_PER_BLOCK))
+
+
 class Rows(ABC):
     """Rows of arrays on a device, a block of them; nothing waits for the device while it is filled.
 
@@ -56,12 +69,16 @@ class Rows(ABC):
     def __init__(self) -> None:
         self.filled = 0
         self._most = 1
+        self._since = 0.0  # when the first row of the block was kept [s]
         self._layout: _Layout = {}
 
     @property
     def full(self) -> bool:
-        """Whether the block has to be taken before another row is kept."""
-        return self.filled == self._most
+        """Whether the block is to be taken before another row is kept: it has no room, or whole blocks of the file."""
+        if self.filled == self._most:
+            return True
+        whole = self.filled > 0 and self.filled % STEPS_PER_BLOCK == 0
+        return whole and time.monotonic() - self._since > _WAIT_S
 
     def keep(self, row: Arrays) -> None:
         """Add a row. The arrays may change afterwards.
@@ -72,8 +89,10 @@ class Rows(ABC):
         if not self._layout:
             self._check_numbers(row)
             size = sum(self.itemsize(array) * int(np.prod(array.shape)) for array in row.values())
-            self._layout, self._most = layout, max(1, min(STEPS_PER_BLOCK, _BLOCK_BYTES // max(1, size)))
+            self._layout, self._most = layout, _rows_of(max(1, size))
         self._check_layout(layout, self._layout)
+        if not self.filled:
+            self._since = time.monotonic()
         self._put(row, self.filled)
         self.filled += 1
 

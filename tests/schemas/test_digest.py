@@ -1,0 +1,45 @@
+"""The digest of states does not depend on how their environments are cut into messages."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gpusimbench.schemas.digest import ContentDigest, state_name
+from gpusimbench.schemas.fields import StateField, array_field
+
+BITS = np.random.default_rng(0).integers(0, 2**32, 2_000_000, dtype=np.uint32)
+
+
+def field_of(width: int) -> StateField:
+    """Numbers of an environment."""
+    return array_field("numbers", "float32", (width,))
+
+
+@given(
+    st.lists(st.integers(0, 70), min_size=1, max_size=3),
+    st.lists(st.integers(1, 64), min_size=1, max_size=5),
+    st.sampled_from([1, 3, 200, 1500]),
+)
+def test_columns_are_those_of_the_whole_array(fed: list[int], envs: list[int], width: int) -> None:
+    """Rows of any bits, small ones that are copied together and large ones, fed in several calls."""
+    field, n_env, digest = field_of(width), sum(envs), ContentDigest()
+    fed = [min(rows, len(BITS) // (n_env * width)) for rows in fed]
+    expected = hashlib.sha256(f"{field.dtype} {n_env} 1 {width}\n".encode())
+    for rows in fed:
+        whole = BITS[: rows * n_env * width].view("<f4").reshape(rows, n_env, 1, width)
+        expected.update(whole.tobytes())
+        digest.state_columns(field, n_env, np.split(whole, np.cumsum(envs)[:-1], axis=1))
+    assert digest.digests()[state_name(field)] == expected.hexdigest()
+
+
+@pytest.mark.parametrize("width", [1, 3000])
+def test_columns_of_other_lengths_are_refused(width: int) -> None:
+    """A row that a range of environments lacks is none of the identity."""
+    columns = [np.zeros((rows, 4, 1, width), np.float32) for rows in (3, 2)]
+    with pytest.raises(ValueError):  # noqa: PT011  as numpy and zip say it
+        ContentDigest().state_columns(field_of(width), 8, columns)
