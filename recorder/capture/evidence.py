@@ -39,7 +39,7 @@ class EvidenceWriter:
         counters: Sequence[Counter] | None = None,
     ) -> None:
         self._sink = sink
-        self._workers = workers or Workers(alone=True)
+        self._workers = workers or Workers(small=True)
         self._phase = phase
         self._dt = dt
         self._stride = stride

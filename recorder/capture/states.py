@@ -132,7 +132,7 @@ class StateWriter:
         self._held_rows = 0
         self._held_first = 0
         self._buffers: dict[int, States] = {}  # by first environment
-        self.workers = Workers(alone=row_bytes(n_env, fields) * self._rows < _ALONE_BYTES)
+        self.workers = Workers(small=row_bytes(n_env, fields) * self._rows < _ALONE_BYTES)
         self._view = view
         self._first_step = first_step
         self.last_step = first_step - 1

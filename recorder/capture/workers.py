@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -13,15 +14,32 @@ _S = TypeVar("_S")
 _T = TypeVar("_T")
 
 
+_here = threading.local()
+
+
+def share(yes: bool) -> None:
+    """Whether the calling thread shares its work from now on, as threads do at first.
+
+    Each thread more that works has the interpreter for a while whenever the thread that steps an engine lets go of it,
+    and engines that are called from Python do so hundreds of times a step. A thread that keeps up works alone.
+    """
+    _here.shares = yes
+
+
 class Workers:
     """A few threads, started when they are first needed; or none.
 
-    alone  the work is too little to share: the calling thread does it
+    small  the work is too little to share: the calling thread does it
     """
 
-    def __init__(self, *, alone: bool) -> None:
-        self.alone = alone
+    def __init__(self, *, small: bool) -> None:
+        self._small = small
         self._threads: ThreadPoolExecutor | None = None
+
+    @property
+    def alone(self) -> bool:
+        """Whether the calling thread does all work itself."""
+        return self._small or not getattr(_here, "shares", True)
 
     def start(self, work: Callable[[_S], _T], items: Sequence[_S]) -> Iterable[_T]:
         """Begin the work on all items; the results in order, each once it is there."""

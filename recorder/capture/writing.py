@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
+from gpusimbench.recorder.capture import workers
 from gpusimbench.recorder.capture.actions import Actions
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.simulators.captured import Captured
@@ -41,7 +42,8 @@ Written = TypeVar("Written", bound=Releasable)
 
 
 class Writing(Generic[Written]):
-    """Writes blocks in the order in which they are put; each is released once it is written.
+    """Writes blocks in the order in which they are put; each is released once it is written. While it keeps up with
+    what is put, it does so without the help of other threads, see workers.share.
 
     write  writes one block, in another thread; an error of it is raised by the next call of ``wait`` or by ``finish``,
            and the blocks behind it are released and not written
@@ -104,4 +106,5 @@ class Writing(Generic[Written]):
     def _next(self) -> Written | None:
         with self._changed:
             self._changed.wait_for(lambda: self._blocks or self._ended)
+            workers.share(self._ended or len(self._blocks) > 1)  # behind, or nobody steps any longer
             return self._blocks.popleft() if self._blocks else None

@@ -181,7 +181,7 @@ def test_a_check_holds_no_arrays(tmp_path: Path) -> None:
     sink = Sink(tmp_path / "run.mcap", compression="none")
     sink.attach("padding", "application/octet-stream", bytes(9 << 20))  # in place of states and their hashes
     assert _ACTIONS is not None
-    writer = ActionWriter(sink, Workers(alone=True), _ACTIONS, seed=0, streams=streams, dt=0.01, n_step=20 * steps)
+    writer = ActionWriter(sink, Workers(small=True), _ACTIONS, seed=0, streams=streams, dt=0.01, n_step=20 * steps)
     for first in range(0, 20 * steps, steps):
         held = _ACTIONS.draw(0, n_env=n_env, first_step=first, n_step=steps)
         writer.write(lambda envs, held=held: held[:, envs.start : envs.stop], lambda _: None, first)  # type: ignore[misc]
@@ -205,7 +205,7 @@ def test_what_an_engine_held_is_what_is_written(tmp_path: Path) -> None:
     held[3, 65, 2] += np.float32(0.5)
     sink = Sink(tmp_path / "run.mcap", compression="none")
     assert _ACTIONS is not None
-    writer = ActionWriter(sink, Workers(alone=True), _ACTIONS, seed=0, streams=streams, dt=0.01, n_step=5)
+    writer = ActionWriter(sink, Workers(small=True), _ACTIONS, seed=0, streams=streams, dt=0.01, n_step=5)
     writer.write(lambda envs: expected[:, envs.start : envs.stop], lambda envs: held[:, envs], 0)
     sink.finish("COMPLETE", "", last_step=5, peak_rss_bytes=1)
     container = Container(sink.path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -64,6 +65,32 @@ def test_blocks_are_written_in_order_and_released_once() -> None:
     assert written == list(range(20))
     assert [block.count for block in blocks] == [1] * 20
     assert writing.unwritten == 0
+
+
+def test_other_threads_help_where_the_writer_is_behind() -> None:
+    """Work alone beside an engine, whose thread needs the interpreter; share where a block waits, and at the end."""
+    workers, begin, used = Workers(small=False), threading.Event(), []
+
+    def write(block: Block) -> None:
+        begin.wait()
+        used.append({*workers.start(lambda _: threading.current_thread().name, range(20))})
+
+    writing = Writing(write)
+    writing.put(Block(0, Released(), None))
+    begin.set()
+    writing.wait(0)
+    begin.clear()
+    for number in range(1, 4):  # the first of them, or the first two, may be begun when the others are not there yet
+        writing.put(Block(number, Released(), None))
+    begin.set()
+    writing.wait(0)
+    writing.put(Block(4, Released(), None))
+    writing.wait(0)
+    writing.finish()
+    alone = [names == {"writing"} for names in used]
+    assert alone[0] and alone[3] and alone[4]
+    assert not all(alone)
+    assert {*workers.start(lambda _: threading.current_thread().name, range(20))} != {threading.current_thread().name}
 
 
 def test_an_error_of_the_writer_ends_the_stepping() -> None:
@@ -156,7 +183,7 @@ def test_however_states_are_fed(
     whole = states(1 + sum(sizes), n_env)
     sink = Sink(folder / "x.mcap", compression="none")
     writer = StateWriter(sink, FIELDS, n_env=n_env, dt=0.01, stride=stride)
-    writer.workers = Workers(alone=alone)
+    writer.workers = Workers(small=alone)
     first = 0
     for size in (1, *sizes):
         part = tuple(array[first : first + size].copy() for array in whole)
@@ -200,7 +227,7 @@ def test_kept_blocks_have_all_that_was_shown() -> None:
     """Keep states, counts and the engine's own actions, in memory of their own."""
     n_env, given = 130, states(5, 130)
     counts, actions = np.arange(5 * n_env).reshape(5, n_env), np.ones((5, n_env, 3), dtype=np.float32)
-    kept = KeptStates(FIELDS, n_env=n_env, rows=5, n_action=3, workers=Workers(alone=False))
+    kept = KeptStates(FIELDS, n_env=n_env, rows=5, n_action=3, workers=Workers(small=False))
     expected = [array.copy() for array in given]
     kept.keep(Block(0, Held(given, Evidence({"contacts": counts}), actions), None))
     for array in (*given, counts, actions):
@@ -222,7 +249,7 @@ def test_memory_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """Refuse to keep states that the machine has no memory for, before the first step."""
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=1000))
     with pytest.raises(NoHostMemory, match="capture fewer steps, or lossless") as raised:
-        KeptStates(FIELDS, n_env=10, rows=100, n_action=0, workers=Workers(alone=True))
+        KeptStates(FIELDS, n_env=10, rows=100, n_action=0, workers=Workers(small=True))
     assert cause_of(raised.value) == "HOST_MEMORY"
 
 
