@@ -20,8 +20,7 @@ _here = threading.local()
 def share(yes: bool) -> None:
     """Whether the calling thread shares its work from now on, as threads do at first.
 
-    Each thread more that works has the interpreter for a while whenever the thread that steps an engine lets go of it,
-    and engines that are called from Python do so hundreds of times a step. A thread that keeps up works alone.
+    Each thread more that works takes the interpreter for a while whenever a user's thread lets go of it.
     """
     _here.shares = yes
 

@@ -42,15 +42,16 @@ Written = TypeVar("Written", bound=Releasable)
 
 
 class Writing(Generic[Written]):
-    """Writes blocks in the order in which they are put; each is released once it is written. While it keeps up with
-    what is put, it does so without the help of other threads, see workers.share.
+    """Writes blocks in the order in which they are put; each is released once it is written.
 
     write  writes one block, in another thread; an error of it is raised by the next call of ``wait`` or by ``finish``,
            and the blocks behind it are released and not written
+    alone  without the help of other threads while it keeps up with what is put, see workers.share
     """
 
-    def __init__(self, write: Callable[[Written], None]) -> None:
+    def __init__(self, write: Callable[[Written], None], *, alone: bool = False) -> None:
         self._write = write
+        self._alone = alone
         self._blocks: deque[Written] = deque()
         self._unwritten = 0
         self._ended = False
@@ -106,5 +107,5 @@ class Writing(Generic[Written]):
     def _next(self) -> Written | None:
         with self._changed:
             self._changed.wait_for(lambda: self._blocks or self._ended)
-            workers.share(self._ended or len(self._blocks) > 1)  # behind, or nobody steps any longer
+            workers.share(not self._alone or self._ended or len(self._blocks) > 1)
             return self._blocks.popleft() if self._blocks else None

@@ -68,14 +68,14 @@ def test_blocks_are_written_in_order_and_released_once() -> None:
 
 
 def test_other_threads_help_where_the_writer_is_behind() -> None:
-    """Work alone beside an engine, whose thread needs the interpreter; share where a block waits, and at the end."""
+    """Work alone where that is asked for; share where a block waits, and at the end."""
     workers, begin, used = Workers(small=False), threading.Event(), []
 
     def write(block: Block) -> None:
         begin.wait()
         used.append({*workers.start(lambda _: threading.current_thread().name, range(20))})
 
-    writing = Writing(write)
+    writing = Writing(write, alone=True)
     writing.put(Block(0, Released(), None))
     begin.set()
     writing.wait(0)

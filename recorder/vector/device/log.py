@@ -141,7 +141,7 @@ class DeviceLog:
         except BaseException as error:
             log.end(error)
             raise
-        self._log, self._writing = log, Writing(lambda job: job.work())
+        self._log, self._writing = log, Writing(lambda job: job.work(), alone=True)
         for name, found, states in self._hashes:
             log.fingerprint(name, found, states)
 
