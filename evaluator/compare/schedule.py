@@ -65,7 +65,8 @@ def schedule(base: Sequence[Run], head: Sequence[Run]) -> Schedule:
     tagged = [(run, False) for run in base] + [(run, True) for run in head]
     tagged.sort(key=lambda one: (one[0].provenance.created_utc, one[0].provenance.run_id))
     times = [run.provenance.created_utc for run, _ in tagged]
-    known = all(map(_UTC.fullmatch, times)) and 2 * len(set(times)) >= len(times)
+    n_time = len(set(times))
+    known = all(map(_UTC.fullmatch, times)) and n_time > 1 and 2 * n_time >= len(times)
     sides = tuple(side for _, side in tagged)
     return Schedule(tuple(run for run, _ in tagged), sides, neighbours(sides), known)
 

@@ -28,8 +28,8 @@ _MOST_CURVES = 8
 _KINDS = ("reward", "action", "observation")
 _HOW = (
     "A dashed line is the end of an episode that the task terminated, a dotted line that of a truncated episode. "
-    "Curves are open where a new episode begins, and where a call of step made no step. Lines of longer recordings are "
-    "drawn through the smallest and the largest value of each stretch."
+    "Curves have gaps where a new episode begins, and where a call of step made no step. Lines of longer recordings "
+    "are drawn through the smallest and the largest value of each stretch."
 )
 
 

@@ -117,7 +117,7 @@ def sound(results: Results) -> Cell:
         return Cell("yes", notes=(f"{plural(held, 'check')} held, {not_made} not checkable",), tone=Tone.GOOD)
     names = dict.fromkeys(row.check.title for r in broken for row in r.fidelity.of(Verdict.BROKEN))
     if len(results) == 1:
-        return Cell("no", notes=(f"broken: {', '.join(names)}",), tone=Tone.BAD)
+        return Cell("no", notes=(f"broken: {'; '.join(names)}",), tone=Tone.BAD)
     return Cell("no", notes=(f"broken in {len(broken)} of {plural(len(checked), 'group')}",), tone=Tone.BAD)
 
 

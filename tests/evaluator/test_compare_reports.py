@@ -24,7 +24,7 @@ from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from tests.conftest import searched
 from tests.evaluator.test_compare import NOISE, ROOT, compared, finding, stamped, timed, write_sides
 from tests.synthetic import grid, write_recording
-from tests.test_docs import command
+from tests.test_docs import command, shows
 
 DOCUMENT, HISTORY, FIGURES = (ROOT / "docs" / name for name in ("compare.md", "history.md", "false-alarms.md"))
 WORKFLOW = ROOT / "examples" / "github-actions" / "simulator-regression.yml"
@@ -293,6 +293,16 @@ def test_the_terminal_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "<script>" in shown.out
 
 
+@pytest.mark.parametrize("apart", [0, 1])
+def test_the_order_of_one_run_a_side(apart: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tell the order of two runs that were made a second apart, and none of two that were made in the same second."""
+    for second, side in enumerate(("base", "head")):
+        (tmp_path / side).mkdir()
+        write_recording(tmp_path / side, change=stamped(second * apart), final=None)
+    main([str(tmp_path / "base"), str(tmp_path / "head"), "--no-cache"])
+    assert ("in the order AB" in capsys.readouterr().out) is bool(apart)
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
 @pytest.mark.parametrize("target", ["--json", "--markdown", "--junit"])
 def test_a_report_that_cannot_be_written(target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -309,12 +319,13 @@ def test_the_document_shows_what_is_printed(document: Path, n_command: int, tmp_
     page = document.read_text(encoding="utf-8")
     found = re.findall(r"^```console\n(.*?)\n```\n(?:\n```text\n(.*?)\n```)?", page, re.DOTALL | re.MULTILINE)
     assert len(found) >= n_command
-    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    for name in ("recordings", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
     for line, expected in found:
         done = run(line, tmp_path, path)
         assert done.returncode in (0, 4), done.stderr
         if expected:
-            assert "\n".join(text.rstrip() for text in done.stdout.splitlines()).strip() == expected
+            assert shows(expected, done.stdout), done.stdout
 
 
 def test_the_document_shows_the_workflow() -> None:

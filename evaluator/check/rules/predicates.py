@@ -172,7 +172,7 @@ def _all_distinct(values: Mapping[str, Any], _: Any, __: Any) -> tuple[tuple[str
 
 def _true_in(values: Mapping[str, Any], least: int, _: Any) -> tuple[tuple[str, tuple[str, ...]], ...]:
     count = sum(bool(value) for value in values.values())
-    return () if count >= least else ((f"{count} of {len(values)} files meet this, {least} are needed", tuple(values)),)
+    return () if count >= least else ((f"{count} of {len(values)} files count, {least} are needed", tuple(values)),)
 
 
 def _by_key(
