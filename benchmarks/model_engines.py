@@ -1,6 +1,9 @@
-"""Which of Gymnasium's models run on which engine, and how far from MuJoCo C they are after some steps.
+"""Which model files run on which engine, and how far from MuJoCo C they are after some steps.
 
 usage: python -m benchmarks.model_engines [--models NAME,NAME] [--engines NAME,NAME] [--steps 20] [--integrator Euler]
+           [FILE.xml ...]
+
+Without files, the models of the installed Gymnasium; files are named by their folder, too.
 
 Each engine runs in a process of its own, of the Python that gsb-record would take for it, on the CPU, with two
 environments and random controls, the same for all engines. A cell is the largest difference of a position, orientation
@@ -62,28 +65,30 @@ def main() -> None:
     p.add_argument("--engines", default=",".join(ENGINES))
     p.add_argument("--integrator", default="")
     p.add_argument("--one", help=argparse.SUPPRESS)
-    p.add_argument("files", nargs="*", type=Path, help=argparse.SUPPRESS)
+    p.add_argument("files", nargs="*", type=Path, metavar="FILE.xml")
     asked = p.parse_args()
     if asked.one:
         for path in asked.files:
-            print(json.dumps([path.stem, _cell(path, asked.one, asked.steps, asked.integrator)]), flush=True)
+            print(json.dumps([str(path), _cell(path, asked.one, asked.steps, asked.integrator)]), flush=True)
         return
-    models = [path for path in _models() if not asked.models or path.stem in asked.models.split(",")]
+    given = [path.resolve() for path in asked.files] or _models()
+    models = [path for path in given if not asked.models or path.stem in asked.models.split(",")]
     columns = {}
     for engine in asked.engines.split(","):
-        given = ["--one", engine, "--steps", str(asked.steps), "--integrator", asked.integrator, *map(str, models)]
+        words = ["--one", engine, "--steps", str(asked.steps), "--integrator", asked.integrator, *map(str, models)]
         chosen = interpreter_for(find_simulator(ENGINES[engine][0]))
         with tempfile.TemporaryDirectory() as folder:
             environment = chosen.environment(Path(folder))
             environment["PYTHONPATH"] = os.pathsep.join([environment["PYTHONPATH"], str(Path(__file__).parents[1])])
-            again = chosen.command("-m", "benchmarks.model_engines", *given)
+            again = chosen.command("-m", "benchmarks.model_engines", *words)
             said = subprocess.run(again, capture_output=True, text=True, check=False, env=environment).stdout
         columns[engine] = dict(json.loads(line) for line in said.splitlines() if line.startswith('["'))
     print("| model | " + " | ".join(columns) + " |")
     print("| --- |" + " --- |" * len(columns))
     for path in models:
-        cells = [column.get(path.stem, "the engine's process ended") for column in columns.values()]
-        print(f"| {path.stem} | " + " | ".join(cells) + " |")
+        cells = [column.get(str(path), "the engine's process ended") for column in columns.values()]
+        name = f"{path.parent.name}/{path.stem}" if asked.files else path.stem
+        print(f"| {name} | " + " | ".join(cells) + " |")
 
 
 def _models() -> list[Path]:

@@ -303,6 +303,21 @@ def test_actuators_that_a_solver_cannot_be_given(actuator: str, said: str, tmp_p
         drives(compiled.model, _places(world), "xpbd", remedy="")
 
 
+def test_an_actuator_that_the_importer_loses(tmp_path: Path) -> None:
+    """Refuse a model with a tendon over two bodies of two hinges each: Newton's importer leaves the tendon out."""
+    body = """
+      <body pos="0 0 1"><joint name="a" axis="1 0 0"/><joint name="b" axis="0 1 0"/><geom size=".1"/>
+        <body pos="0 0 -0.4"><joint name="c" axis="1 0 0"/><joint name="d" axis="0 1 0"/><geom size=".1"/></body>
+      </body>
+    """
+    more = """
+      <tendon><fixed name="both"><joint joint="a" coef="1"/><joint joint="c" coef="1"/></fixed></tendon>
+      <actuator><motor tendon="both" ctrlrange="-1 1"/><motor joint="d" ctrlrange="-1 1"/></actuator>
+    """
+    with pytest.raises(Refused, match="makes 1 of the model's 2 actuators, and lacks the tendons both"):
+        engines.build("newton", _scene(_written(tmp_path, body, more)), n_env=1)
+
+
 def test_a_motor_on_a_tendon() -> None:
     """Turn a tendon's force into forces of its joints, with their coefficients and the gear."""
     world, compiled = _imported(_scene(WALKER), "xpbd")

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.model.contents import choices, solver_options
 from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
@@ -124,8 +125,14 @@ def deviations_of_import(newton_model: Any, solver: Any, imported: Imported, mod
 
 
 def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviation]:
-    """What SolverMuJoCo's own mujoco.MjModel has otherwise, beyond bodies and joints."""
+    """What SolverMuJoCo's own mujoco.MjModel has otherwise, beyond bodies and joints. Refused where it lacks actuators:
+    their controls would move others."""
     made = solver.mj_model
+    if made.nu != model.nu:
+        kept = {made.tendon(t).name for t in range(made.ntendon)}
+        lost = [name for name in (model.tendon(t).name for t in range(model.ntendon)) if name not in kept]
+        without = f", and lacks the tendons {', '.join(lost)}" if lost else ""
+        raise Refused(f"SolverMuJoCo makes {made.nu} of the model's {model.nu} actuators{without}")
     reason = "so Newton's importer and SolverMuJoCo make it"
     for kind, options in (("model", _OF_MODEL), ("option", _OF_SOLVER)):
         for option in options:
