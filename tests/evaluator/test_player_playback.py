@@ -71,7 +71,7 @@ def test_files_that_went_away_are_named(tmp_path: Path) -> None:
     assert str(path) in found.not_shown[0].reason
     text = write_html(evaluation, tmp_path / "report", published=False, command="gsb-eval").read_text()
     assert "gsb-player" not in text
-    assert "<bdi>gone</bdi>" in text[text.index('id="playback"') :]
+    assert "<li>Playback: gone: cannot read" in text[text.index('id="left-out"') :]
 
 
 def test_the_page_has_two_scripts_and_no_other_file(evaluation: Evaluation, tmp_path: Path) -> None:
