@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -91,6 +94,34 @@ def test_other_threads_help_where_the_writer_is_behind() -> None:
     assert alone[0] and alone[3] and alone[4]
     assert not all(alone)
     assert {*workers.start(lambda _: threading.current_thread().name, range(20))} != {threading.current_thread().name}
+
+
+def test_a_handler_that_raises_while_blocks_are_written() -> None:
+    """Wait for the thread that writes, whatever the handler of a signal raises meanwhile: its file has one writer."""
+    begin, written = threading.Event(), []
+
+    def write(block: Block) -> None:
+        begin.wait()
+        time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGALRM)
+        time.sleep(0.1)
+        written.append(block.first_step)
+
+    def late(*_: object) -> None:
+        raise TimeoutError("late")
+
+    writing, blocks = Writing(write), [Released(), Released()]
+    for number, block in enumerate(blocks):
+        writing.put(Block(number, block, None))
+    before = signal.signal(signal.SIGALRM, late)
+    try:
+        begin.set()
+        with pytest.raises(TimeoutError, match="late"):
+            writing.finish()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert written == [0, 1]
+    assert [block.count for block in blocks] == [1, 1]
 
 
 def test_an_error_of_the_writer_ends_the_stepping() -> None:
