@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gpusimbench import open_recording
+from gpusimbench import RecordingWriter, open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.kept import KeptStates
 from gpusimbench.recorder.capture.sink import Sink
@@ -122,6 +122,36 @@ def test_a_handler_that_raises_while_blocks_are_written() -> None:
         signal.signal(signal.SIGALRM, before)
     assert written == [0, 1]
     assert [block.count for block in blocks] == [1, 1]
+
+
+@pytest.mark.parametrize("n_env", [4, 700])  # written by one thread, and by several
+@pytest.mark.parametrize("call", [1, 2, 40])
+def test_states_whose_hashes_cannot_be_made(
+    n_env: int, call: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Leave an incomplete file where states and their hashes have parted, even if the program goes on."""
+    calls = []
+
+    def failing(states: object) -> object:
+        calls.append(states)
+        if len(calls) == call:
+            raise MemoryError
+        return fingerprint(states)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("gpusimbench.recorder.capture.states.fingerprint", failing)
+    rows = states(60, n_env)
+    path, stopped = tmp_path / "a.mcap", r"writing stopped: MemoryError; what was written is in .*a\.mcap\.partial"
+    log = RecordingWriter(path, simulator="a", version="1", scene="b", n_env=n_env, dt=1.0, steps=None, fields=FIELDS)
+    with pytest.raises(DataLost, match=stopped), log:
+        for row in range(60):
+            try:
+                log.append(*(array[row] for array in rows))
+            except DataLost:
+                assert len(calls) >= call
+    assert len(calls) >= call and not path.exists()
+    recording = open_recording(tmp_path / "a.mcap.partial")
+    verify(recording)
+    assert recording.status == "incomplete"
 
 
 def test_an_error_of_the_writer_ends_the_stepping() -> None:
