@@ -88,7 +88,7 @@ class ActionWriter:
             if not digested and self._workers.alone:
                 raise
             # some are digested, or will be by other threads, and not written
-            raise self._sink.lost(str(error) or type(error).__name__) from error
+            raise self._sink.lost(error) from error
         self._sink.flush()
 
 

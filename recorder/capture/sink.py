@@ -165,9 +165,11 @@ class Sink:
             publish(self.path)
         return self.path
 
-    def lost(self, what: str) -> DataLost:
+    def lost(self, error: Exception) -> DataLost:
         """The error by which the recording stops, here and wherever more is written: a file that lacks something gets
         no good end, even if the caller goes on."""
+        unnamed = "out of host memory" if isinstance(error, MemoryError) else type(error).__name__
+        what = getattr(error, "strerror", None) or str(error) or unnamed
         there = self.partial.exists()
         left = f"what was written is in {self.partial}" if there else f"{self.partial} is there no more"
         self._lost = f"writing stopped: {what}; {left}"
@@ -187,4 +189,4 @@ class Sink:
             with shielded():
                 yield
         except OSError as error:
-            raise self.lost(error.strerror or str(error)) from None
+            raise self.lost(error) from None

@@ -182,7 +182,7 @@ class StateWriter:
             except DataLost:
                 raise
             except Exception as error:  # states and their hashes have parted
-                raise self._sink.lost(str(error) or type(error).__name__) from error
+                raise self._sink.lost(error) from error
         if not found:
             return None
         row, env, what = min(found)
@@ -234,7 +234,7 @@ class StateWriter:
         except DataLost:
             raise
         except Exception as error:  # digests and bytes have parted
-            raise self._sink.lost(str(error) or type(error).__name__) from error
+            raise self._sink.lost(error) from error
         if self._view is not None:
             self._view.rows(writing.first_row, writing.columns, env_block(self._n_env))
 

@@ -140,7 +140,10 @@ def test_states_whose_hashes_cannot_be_made(
 
     monkeypatch.setattr("gpusimbench.recorder.capture.states.fingerprint", failing)
     rows = states(60, n_env)
-    path, stopped = tmp_path / "a.mcap", r"writing stopped: MemoryError; what was written is in .*a\.mcap\.partial"
+    path, stopped = (
+        tmp_path / "a.mcap",
+        r"writing stopped: out of host memory; what was written is in .*a\.mcap\.partial",
+    )
     log = RecordingWriter(path, simulator="a", version="1", scene="b", n_env=n_env, dt=1.0, steps=None, fields=FIELDS)
     with pytest.raises(DataLost, match=stopped), log:
         for row in range(60):
