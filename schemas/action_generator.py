@@ -33,6 +33,9 @@ _SMALLEST = 2.0**-102  # whose last bit is a normal float32 still
 GENERATOR = "generator"
 """What the metadata of a channel of actions call the description of their generator."""
 
+MAX_RANGE = 1 << _WORD_BITS
+"""Steps of its grid that the range of an action has, at most: 8 rad of a joint's target."""
+
 MAX_WIDTH = 256
 """Numbers that an environment is given in a step by a generator that is described in a file."""
 
@@ -243,6 +246,16 @@ class Generator(NamedTuple):
         )
 
 
+def undrawable(actions: JointTargets) -> str:
+    """The first range of which a generator would not draw uniformly, or not in whole multiples; empty where none is."""
+    for low, high, grid in zip(actions.lower, actions.upper, actions.grids_of(), strict=True):
+        # what the generator's words of 32 bits hold, and a float32
+        held = 2.0**-126 <= grid <= 2.0**127 and max(abs(low), abs(high)) <= min(grid * 2.0**30, 2.0**127)
+        if not (held and 0 <= math.floor(high / grid) - math.ceil(low / grid) < MAX_RANGE):
+            return f"the range {low:g} to {high:g} in steps of {grid:g}"
+    return ""
+
+
 def describe_generator(actions: JointTargets, seed: int) -> str:
     """The generator of these actions for `read_generator`; empty where that cannot make them, as those of a file."""
     text = actions.describe(seed, Streams.usual(0))
@@ -270,10 +283,6 @@ def read_generator(text: str) -> Generator:
     if kind == _CONTROLS:
         grids = checks.vector(record.get("grids"), len(joints), "grids of a generator")
         actions = Controls(name, joints, lower, upper, grids)
-    for low, high, grid in zip(lower, upper, actions.grids_of(), strict=True):
-        # what the generator's words of 32 bits hold, and a float32
-        if not (2.0**-126 <= grid <= 2.0**127 and max(abs(low), abs(high)) <= min(grid * 2.0**30, 2.0**127)):
-            raise DamagedRecording(f"a generator has the range {low:g} to {high:g} in steps of {grid:g}")
-        if not 0 <= math.floor(high / grid) - math.ceil(low / grid) < 2**_WORD_BITS:
-            raise DamagedRecording(f"a generator has the range {low:g} to {high:g} in steps of {grid:g}")
+    if refused := undrawable(actions):
+        raise DamagedRecording(f"a generator has {refused}")
     return Generator(actions, checks.whole(record, "seed", 0, 2**64 - 1))

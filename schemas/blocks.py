@@ -39,6 +39,7 @@ STATE_HEAD_BYTES = 256
 _RAW, _PACKED, _GENERATED = 0, 1, 2  # of gsb.v1.Encoding
 _ENCODINGS = {_STATE: (_RAW, _PACKED), _ACTION: (_RAW, _GENERATED), _FINGERPRINT: (_RAW,)}
 _WORDS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
+_MOST_DRAWN = 128 << 20  # bytes of a block of actions: a recorder's block has 50 steps of a 64th of the environments
 _STREAMS = ("stream_env", "stream_begun")  # of an ActionBlock, fixed32
 # the fields that say how an array is stored
 _STORAGE = ("encoding", "packed", "data", "data64", "word_bytes", *_STREAMS)
@@ -375,7 +376,7 @@ def _drawn(scanned: _Scanned, generator: Generator | None, most: int) -> NDArray
     if generator is None:
         raise ValueError("its channel names no generator of the actions")
     rows, width = header.steps * header.envs, len(generator.actions.joints)
-    if header.width != width or not 0 < rows <= most or 4 * rows * width > decompression.MAX_BYTES:
+    if header.width != width or not 0 < rows <= most or 4 * rows * width > _MOST_DRAWN:
         raise ValueError(f"it announces {rows} times {header.width} numbers of a generator, more than may be drawn")
     if header.first_step + header.steps > 1 << 32 or header.env_start + header.envs > 1 << 32 or header.stride > 1:
         raise ValueError("it has steps or environments that a generator does not count")

@@ -13,7 +13,8 @@ _SET_PDEATHSIG = 1  # prctl(2)
 def signalled_at_its_end(number: signal.Signals) -> Callable[[], object] | None:
     """A function after whose call this process gets a signal once its parent has ended; None but on Linux.
 
-    For subprocess's `preexec_fn`: nothing is loaded by the call itself, which a child makes between fork and exec.
+    For subprocess's `preexec_fn`: nothing is loaded by the call itself, which a child makes between fork and exec. To
+    Linux the parent is the thread that forks: the thread that starts such a process has to wait for its end.
     """
     if not sys.platform.startswith("linux"):
         return None

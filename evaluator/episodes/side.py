@@ -21,6 +21,8 @@ from gpusimbench.evaluator.read.episode_table import (
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import NothingComparable, UsageError
 
+_MOST_RETURN = 1e100  # squares of larger differences, of many episodes, may be no numbers
+
 
 class Choice(Enum):
     """Where the number of episodes per environment comes from."""
@@ -129,7 +131,8 @@ def choose(side: Side, per_env: int, success: str | None, at: At) -> Episodes:
 
     success  name of the flag that says whether an episode succeeded; None: nothing does
 
-    NothingComparable where an environment has fewer, or the flag was not given; UsageError where there is no such flag.
+    NothingComparable where an environment has fewer, a return is too large to be compared, or the flag was not given;
+    UsageError where there is no such flag.
     """
     short = np.flatnonzero(side.finished < per_env)
     if short.size:
@@ -150,6 +153,13 @@ def choose(side: Side, per_env: int, success: str | None, at: At) -> Episodes:
     def column(value: Callable[[EpisodeTable], NDArray[Any]]) -> NDArray[Any]:
         return np.concatenate([value(table)[at] for table, at in zip(side.tables, rows, strict=True)])
 
+    returns = column(lambda table: table.returns)
+    if not (np.abs(returns) <= _MOST_RETURN).all():
+        env, episode = (int(i) for i in np.argwhere(~(np.abs(returns) <= _MOST_RETURN))[0])
+        raise NothingComparable(
+            f"the return of episode {episode} of {side.place(env)} is {returns[env, episode]:g}; only returns up to "
+            f"{_MOST_RETURN:g} are evaluated"
+        )
     flags = None
     if success is not None:
         of_all = zip(side.recordings, side.tables, rows, strict=True)
@@ -157,7 +167,7 @@ def choose(side: Side, per_env: int, success: str | None, at: At) -> Episodes:
     return Episodes(
         side=side,
         rows=rows,
-        returns=column(lambda table: table.returns),
+        returns=returns,
         lengths=column(lambda table: table.length),
         terminated=column(lambda table: table.terminated),
         success=flags,

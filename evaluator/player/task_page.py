@@ -28,8 +28,9 @@ _MOST_CURVES = 8
 _KINDS = ("reward", "action", "observation")
 _HOW = (
     "A dashed line is the end of an episode that the task terminated, a dotted line that of a truncated episode. "
-    "Curves have gaps where a new episode begins, and where a call of step made no step. Lines of longer recordings "
-    "are drawn through the smallest and the largest value of each stretch."
+    "Curves have gaps where a new episode begins, and where a call of step made no step. A longer recording is divided "
+    "into 400 stretches: lines are drawn through the smallest and the largest value of each, and of more than 400 ends "
+    "of episodes those that come first in each."
 )
 
 

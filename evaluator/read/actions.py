@@ -21,6 +21,7 @@ from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.treatment import alike
 
 _HASH_BYTES = 8  # that a file has for each step of each environment, whatever else it keeps of it
+_RATIO, _FREE_BYTES = 64, 8 << 20  # of these hashes compressed: environments of different actions have different ones
 
 _T = TypeVar("_T")
 _Block = NDArray[np.floating]  # [step, env, action]
@@ -34,7 +35,7 @@ class ActionContents:
 
     def __init__(self, container: Container) -> None:
         self._container = container
-        self._room = container.content_bytes // _HASH_BYTES
+        self._room = min(container.content_bytes, _FREE_BYTES + _RATIO * container.size) // _HASH_BYTES
 
     def arrays(self, topic: str) -> Iterator[tuple[BlockHeader, NDArray[np.floating]]]:
         """Headers and arrays [step, env, action] of a topic. DamagedRecording where a block cannot be read."""

@@ -15,6 +15,7 @@ from gpusimbench.schemas import topics
 from gpusimbench.schemas.action_generator import GENERATOR, JointTargets, Streams, describe_generator, expect
 from gpusimbench.schemas.blocks import action_parts, generated_action
 from gpusimbench.schemas.configuration import sim_time_ns
+from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.mcap.writer import Part
 from gpusimbench.schemas.messages import message_class
 
@@ -63,6 +64,7 @@ class ActionWriter:
     def write(self, drawn: Actions, told: Told, first_step: int) -> None:
         """Actions of consecutive steps, the first of them leading on from the state of `first_step`."""
         time = sim_time_ns(first_step, self._dt)
+        digested: list[range] = []
 
         def encoded(envs: range) -> Sequence[Part]:
             held = told(slice(envs.start, envs.stop))
@@ -71,13 +73,22 @@ class ActionWriter:
             if held is not None and not same:
                 array = held
             parts = action_parts(array, first_step=first_step, stride=1, env_start=envs.start, sim_time_ns=time)
+            digested.append(envs)
             self._sink.digest.message(topics.action(self._name, envs.start), *(part.data for part in parts))
             if self._generated and same:
                 return [Part(generated_action(parts, self._streams.of(envs), envs.start))]
             return parts
 
-        for envs, parts in zip(self._blocks, self._workers.start(encoded, self._blocks), strict=True):
-            self._sink.write_parts(topics.action(self._name, envs.start), parts, sim_ns=time)
+        try:
+            for envs, parts in zip(self._blocks, self._workers.start(encoded, self._blocks), strict=True):
+                self._sink.write_parts(topics.action(self._name, envs.start), parts, sim_ns=time)
+        except DataLost:
+            raise
+        except Exception as error:
+            if not digested and self._workers.alone:
+                raise
+            # some are digested, or will be by other threads, and not written
+            raise self._sink.lost(error) from error
         self._sink.flush()
 
 

@@ -58,6 +58,7 @@ class Sink:
         self._sequence: dict[str, int] = {}
         self._began_ns = time.perf_counter_ns()
         self._compression = compression
+        self._lost = ""  # why nothing is written any more
         self.profile = FORMAT
 
     @cached_property
@@ -164,6 +165,16 @@ class Sink:
             publish(self.path)
         return self.path
 
+    def lost(self, error: Exception) -> DataLost:
+        """The error by which the recording stops, here and wherever more is written: a file that lacks something gets
+        no good end, even if the caller goes on."""
+        unnamed = "out of host memory" if isinstance(error, MemoryError) else type(error).__name__
+        what = getattr(error, "strerror", None) or str(error) or unnamed
+        there = self.partial.exists()
+        left = f"what was written is in {self.partial}" if there else f"{self.partial} is there no more"
+        self._lost = f"writing stopped: {what}; {left}"
+        return DataLost(self._lost)
+
     def abandon(self) -> None:
         """Close the file as it is: without an end record and under its .partial name."""
         with suppress(OSError):  # the error that led here is the one to report
@@ -172,11 +183,10 @@ class Sink:
     @contextmanager
     def _disk(self) -> Iterator[None]:
         """Whole writes only, and one clear message where the disk takes no more."""
+        if self._lost:
+            raise DataLost(self._lost)
         try:
             with shielded():
                 yield
         except OSError as error:
-            what = error.strerror or str(error)
-            there = self.partial.exists()
-            left = f"what was written is in {self.partial}" if there else f"{self.partial} is there no more"
-            raise DataLost(f"writing stopped: {what}; {left}") from None
+            raise self.lost(error) from None

@@ -177,23 +177,33 @@ class StateWriter:
             if stored and not whole:  # until the block is full, in memory of their own
                 self._held[-1] = [tuple(array.copy() for array in states) for states in kept]
             # in this order: a file is written by one thread, which must not wait for hashes that others make meanwhile
-            writing = self._begin_writing() if whole else None
-            pieces = self._pieces(columns)
-            looked_at = self.workers.start(self._look, pieces)
-            if writing:
-                self._end_writing(writing)
-            hashes = np.empty((len(columns[0][0]), self._n_env), dtype=np.uint64)
-            found = []
-            for piece, (some, not_finite) in zip(pieces, looked_at, strict=True):
-                rows, envs = piece.first_row + some.shape[0], piece.first_env + some.shape[1]
-                hashes[piece.first_row : rows, piece.first_env : envs] = some
-                found += not_finite
-            write_fingerprints(self._sink, "capture", hashes, first_step=first, stride=1, dt=self._dt)
-            self._sink.flush()
+            try:
+                found = self._write_and_look(columns, first, whole=whole)
+            except DataLost:
+                raise
+            except Exception as error:  # states and their hashes have parted
+                raise self._sink.lost(error) from error
         if not found:
             return None
         row, env, what = min(found)
         return f"a state is not finite: step {first + row}, env {env}, {what}"
+
+    def _write_and_look(self, columns: Sequence[States], first: int, *, whole: bool) -> list[tuple[int, int, str]]:
+        # rows that are held back where they are a whole block, and hashes of the new rows; what of them is not finite
+        writing = self._begin_writing() if whole else None
+        pieces = self._pieces(columns)
+        looked_at = self.workers.start(self._look, pieces)
+        if writing:
+            self._end_writing(writing)
+        hashes = np.empty((len(columns[0][0]), self._n_env), dtype=np.uint64)
+        found = []
+        for piece, (some, not_finite) in zip(pieces, looked_at, strict=True):
+            rows, envs = piece.first_row + some.shape[0], piece.first_env + some.shape[1]
+            hashes[piece.first_row : rows, piece.first_env : envs] = some
+            found += not_finite
+        write_fingerprints(self._sink, "capture", hashes, first_step=first, stride=1, dt=self._dt)
+        self._sink.flush()
+        return found
 
     def flush(self) -> None:
         """Write the rows that are held back for a full block."""
@@ -223,9 +233,8 @@ class StateWriter:
             self._write_blocks(writing)
         except DataLost:
             raise
-        except Exception as error:  # digests and bytes have parted: this file cannot get a good end any more
-            what = str(error) or type(error).__name__
-            raise DataLost(f"writing stopped: {what}; what was written is in {self._sink.partial}") from error
+        except Exception as error:  # digests and bytes have parted
+            raise self._sink.lost(error) from error
         if self._view is not None:
             self._view.rows(writing.first_row, writing.columns, env_block(self._n_env))
 

@@ -57,6 +57,7 @@ class Writing(Generic[Written]):
         self._ended = False
         self._error: BaseException | None = None
         self._changed = threading.Condition()
+        self._written = threading.Event()  # the thread has ended, or is about to and writes nothing more
         self._thread = threading.Thread(target=self._work, name="writing", daemon=True)
         self._thread.start()
 
@@ -80,16 +81,34 @@ class Writing(Generic[Written]):
             raise self._error
 
     def finish(self) -> None:
-        """Return once all that was put is written, and end the thread; an interruption waits until then."""
+        """Return once all that was put is written, and end the thread; whatever interrupts waits until then."""
         with shielded():  # two threads must not write one file
             with self._changed:
                 self._ended = True
                 self._changed.notify_all()
-            self._thread.join()
+            struck = self._wait_to_the_end()
         if self._error is not None:
             raise self._error
+        if struck is not None:
+            raise struck
+
+    def _wait_to_the_end(self) -> BaseException | None:
+        # the first error that a handler of signals raised meanwhile; Thread.join takes a thread for ended after one
+        struck = None
+        while not self._written.is_set():
+            try:
+                self._written.wait()
+            except BaseException as error:
+                struck = struck or error
+        return struck
 
     def _work(self) -> None:
+        try:
+            self._write_all()
+        finally:
+            self._written.set()
+
+    def _write_all(self) -> None:
         while (block := self._next()) is not None:
             try:
                 try:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.schemas.action_generator import JointTargets, Streams
+from gpusimbench.schemas.action_generator import MAX_RANGE, JointTargets, Streams, undrawable
 from gpusimbench.schemas.configuration import RunConfiguration
 
 
@@ -54,7 +54,8 @@ def table(actions: JointTargets) -> NDArray[np.float32] | None:
 def refusal(actions: JointTargets, run: RunConfiguration) -> str:
     """Why a run cannot be given these actions; empty where it can."""
     if not isinstance(actions, GivenControls):
-        return ""
+        refused = undrawable(actions)
+        return f"actions {actions.name} have {refused}; at most {MAX_RANGE} steps can be drawn" if refused else ""
     steps, envs = actions.rows.shape[:2]
     if actions.each and envs != run.n_env:
         return f"the file of actions has controls of {envs} environments, and --n-env is {run.n_env}"

@@ -17,11 +17,17 @@ _DRAWN = (
     "body_pos",
     "body_quat",
     "jnt_type",
+    "jnt_bodyid",
     "jnt_pos",
     "jnt_axis",
+    "qpos0",
     "geom_type",
+    "geom_bodyid",
+    "geom_dataid",
     "geom_pos",
+    "geom_quat",
     "geom_size",
+    "mesh_vert",
 )
 """Arrays of a model by which one that is drawn is told from another."""
 

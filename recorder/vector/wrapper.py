@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
+from gpusimbench.recorder.interruption import postponed
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.rows import check_envs
 from gpusimbench.recorder.vector.ending import Ending, refuses_hashes
@@ -78,9 +79,9 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         if self._ended:
             return self.env.step(actions)
         given = self._given(actions)  # before the environment may change them
-        if self._log is None:
-            self._begin(given)
         try:
+            if self._log is None:
+                self._begin(given)
             if self._filled == _ROWS:
                 self._write()
             returned = self.env.step(actions)
@@ -232,16 +233,17 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             self._log.append(*(column[:rows] for column in self._block.values()))
 
     def _end(self, error: BaseException | None) -> None:
-        if self._ended or self._log is None:
-            return
-        self._ended = True
-        try:
-            self._write()
-        except Exception as second:
-            error = error or second
-            raise
-        finally:
-            self._log.__exit__(type(error) if error else None, error, None)
+        with postponed():  # an interruption would leave rows out of a recording that is complete
+            if self._ended or self._log is None:
+                return
+            self._ended = True
+            try:
+                self._write()
+            except BaseException as second:
+                error = error or second
+                raise
+            finally:
+                self._log.__exit__(type(error) if error else None, error, None)
 
 
 def _arrays(tree: Any, name: str, *, copy: bool = True) -> Row:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpusimbench import open_recording
+from gpusimbench import open_recording, wrap
 from gpusimbench.evaluator.cli.compare import main
 from gpusimbench.evaluator.episodes.comparison import compare as compare_policies
+from gpusimbench.evaluator.episodes.comparison import difference_of
 from gpusimbench.evaluator.episodes.side import choose, read_side
 from gpusimbench.evaluator.episodes.success import At
-from tests.conftest import made_once
+from tests.conftest import call, made_once
 from tests.scripts import example
 
 pytest.importorskip("gymnasium")
@@ -91,8 +92,6 @@ def test_episodes_that_did_not_end(tmp_path: Path, capsys: pytest.CaptureFixture
     """Decide nothing where an environment has no finished episode; name the environment."""
     import gymnasium
 
-    from gpusimbench import wrap
-
     envs = wrap(gymnasium.vector.SyncVectorEnv([search.Search] * 64), tmp_path / "a.mcap", steps=2, infos=("success",))
     envs.reset(seed=0)
     for _ in range(2):
@@ -116,3 +115,44 @@ def test_a_history_has_no_episodes(tmp_path: Path, capsys: pytest.CaptureFixture
     """Refuse a gate that nothing would decide, instead of passing it."""
     assert main(["--history", str(tmp_path), "--gate", "throughput,episodes"]) == 2
     assert "--history has no curves of episodes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("sides", [(1, 5), (5, 1), (1, 1)])
+def test_one_environment(sides: tuple[int, int], capsys: pytest.CaptureFixture[str]) -> None:
+    """Say that one environment beside others cannot show a difference; SciPy has no test of it."""
+    base, head = recorded("near", sides[0], 4), recorded("sweep", sides[1], 4)
+    code, _, found = compared(base, head, "--across", "n_env", "--gate", "episodes", capsys=capsys)
+    assert code == 5
+    ways = max(2, *sides) + (sides[0] != sides[1])
+    assert found["return"]["undecided"] == "too few environments"
+    assert found["return"]["least_p"] == pytest.approx(2 / ways)
+
+
+def test_the_value_of_one_environment() -> None:
+    """Rank one environment among all of both sides: the exact permutation test, from either side."""
+    one, others = np.array([[9.0]]), np.arange(7.0)[:, None]
+    for first, second in ((one, others), (others, one)):
+        assert difference_of("return", "1", first, second, together=False).p_value == 2 / 8
+    assert difference_of("return", "1", np.array([[3.0]]), others, together=False).p_value == 1.0
+
+
+def test_returns_without_bound(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compare no returns whose differences are no numbers; name the first of them, by both commands."""
+    import gymnasium
+
+    class Search(search.Search):  # type: ignore[misc,name-defined]
+        def step(self, action: object) -> Any:
+            observation, _, terminated, truncated, info = super().step(action)
+            return observation, 1e308, terminated, truncated, info
+
+    path = tmp_path / "a.mcap"
+    envs = gymnasium.vector.SyncVectorEnv([Search] * 64)
+    with wrap(envs, path, steps=200, infos=("success",)) as log:
+        log.reset(seed=0)
+        for _ in range(200):
+            log.step(np.zeros(64, dtype=np.int64))
+    code, _, found = compared(recorded("near", 64, 4), path, "--gate", "episodes", capsys=capsys)
+    assert code == 5
+    said = "is inf; only returns up to 1e+100 are evaluated"
+    assert said in found["return"]["undecided"]
+    assert said in call("gsb-episodes", path, code=5).stderr

@@ -25,7 +25,7 @@ from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.schemas.action_generator import GENERATOR, Streams
 from gpusimbench.schemas.digest import ContentDigest
-from gpusimbench.schemas.errors import NotARecording
+from gpusimbench.schemas.errors import DamagedRecording, DataLost, NotARecording
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import message_class
 from tests.conftest import Command, call
@@ -219,3 +219,41 @@ def test_what_an_engine_held_is_what_is_written(tmp_path: Path) -> None:
         raw.message(topic, encode_action(held[:, envs], first_step=0, stride=1, env_start=start, sim_time_ns=0))
         ActionContents(container).digest(topic, digest)
         assert sink.digest.digests()[topic] == raw.digests()[topic] == digest.digests()[topic]
+
+
+@pytest.mark.parametrize("small", [True, False])
+def test_actions_that_an_engine_cannot_tell(small: bool, tmp_path: Path) -> None:
+    """End no file well in which the actions of some environments are missing and those of others are digested."""
+    n_env = 70
+    drawn = _drawn(5, Streams.usual(n_env))
+
+    def told(envs: slice) -> NDArray[np.float32]:
+        if envs.start:
+            raise RuntimeError("the device is lost")
+        return drawn[:, envs]
+
+    sink = Sink(tmp_path / "run.mcap", compression="none")
+    assert _ACTIONS is not None
+    writer = ActionWriter(sink, Workers(small=small), _ACTIONS, seed=0, streams=Streams.usual(n_env), dt=1.0, n_step=5)
+    with pytest.raises(DataLost, match="writing stopped: the device is lost; what was written is in"):
+        writer.write(lambda envs: drawn[:, envs.start : envs.stop], told, 0)
+    with pytest.raises(DataLost, match="the device is lost"):
+        sink.finish("FAILED", "the device is lost", last_step=5, peak_rss_bytes=1)
+    sink.abandon()
+    assert not sink.path.exists()
+
+
+@pytest.mark.parametrize(("steps", "n_env"), [(1, 2_000_000), (100, 50_000)])
+def test_actions_that_no_file_of_this_size_has(steps: int, n_env: int, tmp_path: Path) -> None:
+    """Draw no actions for what a file of a few kilobytes is unpacked into: minutes of work for each of them."""
+    sink = Sink(tmp_path / "run.mcap", compression="zstd")
+    sink.channel("/run/padding", "gsb.v1.Event")
+    sink.write("/run/padding", bytes(60 << 20))
+    assert _ACTIONS is not None
+    sink.channel(_TOPIC, "gsb.v1.ActionBlock", {GENERATOR: _ACTIONS.describe(0, Streams.usual(0))})
+    block = message_class("gsb.v1.ActionBlock")(steps=steps, envs=n_env, width=7, stride=1, encoding=2)
+    sink.write(_TOPIC, block.SerializeToString())
+    sink.finish("COMPLETE", "", last_step=1, peak_rss_bytes=1)
+    assert sink.path.stat().st_size < 20_000
+    with pytest.raises(DamagedRecording, match="more than may be drawn"):
+        list(ActionContents(Container(sink.path)).arrays(_TOPIC))

@@ -58,15 +58,28 @@ def test_bodies_are_where_mujoco_has_them(task: str, tmp_path: Path) -> None:
     assert "canvas" in page.read_text(encoding="utf-8")
 
 
-def test_what_is_no_place(tmp_path: Path) -> None:
-    """Attach no model where environments have others, and take qpos of another length for no coordinates of it."""
+def _longer(model: Any) -> None:
+    model.geom_size[1] *= 1.5
 
-    def longer(model: Any) -> None:
-        model.geom_size[1] *= 1.5
 
-    recorded("HalfCheetah-v5", tmp_path / "other.mcap", longer)
+def _turned(model: Any) -> None:
+    model.geom_quat[1] = (0.6, 0.8, 0.0, 0.0)
+
+
+def _begun(model: Any) -> None:
+    model.qpos0[0] += 1.0
+
+
+@pytest.mark.parametrize("change", [_longer, _turned, _begun])
+def test_other_models(change: Any, tmp_path: Path) -> None:
+    """Attach no model where environments have others: bodies of one would be drawn as those of another."""
+    recorded("HalfCheetah-v5", tmp_path / "other.mcap", change)
     assert open_recording(tmp_path / "other.mcap").attachment(GEOMETRY) is None
     assert main([str(tmp_path / "other.mcap"), "--no-open", "--out", str(tmp_path / "page.html")]) == ExitCode.OK
+
+
+def test_what_is_no_place(tmp_path: Path) -> None:
+    """Take qpos of another length for no coordinates of a model."""
     recorded("HalfCheetah-v5", tmp_path / "a.mcap")
     recording = open_recording(tmp_path / "a.mcap")
     assert Motion(recording.fields, recording.look).parts

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.cli.view import main
 from gpusimbench.evaluator.player.task_page import task_document
 from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.evaluator.render.document import Figure, Section
-from gpusimbench.evaluator.render.figures.curves import MAX_BINS, End, curves_chart, shown_rows
+from gpusimbench.evaluator.render.figures.curves import MAX_BINS, End, curves_chart, shown_ends, shown_rows
 from gpusimbench.schemas.errors import ExitCode
 from tests.browser import Browser, needs_chromium
 from tests.conftest import made_once
@@ -101,3 +101,15 @@ def test_the_page_in_a_browser(recorded: Path, tmp_path: Path) -> None:
         )
         assert len(sizes) == 12 and all(width > 300 and height > 100 for width, height in sizes)
         assert browser.errors == [] and browser.requests == []
+
+
+def test_a_page_does_not_grow_with_the_ends_of_episodes() -> None:
+    """Draw few ends of many episodes, both kinds of them, over the whole picture."""
+    steps, values = np.arange(100_001), np.zeros(100_001)
+    ends = [End(step, step % 1000 != 0) for step in range(1, 100_001)]
+    shown = shown_ends(ends, 0, 100_000)
+    assert MAX_BINS < len(shown) <= 2 * (MAX_BINS + 1)
+    assert {end.terminated for end in shown} == {True, False}
+    assert np.diff(sorted(end.step for end in shown)).max() <= 100_000 / MAX_BINS
+    assert shown_ends(ends[:MAX_BINS], 0, 100_000) == ends[:MAX_BINS]
+    assert len(curves_chart([("a", values)], steps, ends, name="a")) < 200_000

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gpusimbench import open_recording
+from gpusimbench import RecordingWriter, open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.kept import KeptStates
 from gpusimbench.recorder.capture.sink import Sink
@@ -91,6 +94,67 @@ def test_other_threads_help_where_the_writer_is_behind() -> None:
     assert alone[0] and alone[3] and alone[4]
     assert not all(alone)
     assert {*workers.start(lambda _: threading.current_thread().name, range(20))} != {threading.current_thread().name}
+
+
+def test_a_handler_that_raises_while_blocks_are_written() -> None:
+    """Wait for the thread that writes, whatever the handler of a signal raises meanwhile: its file has one writer."""
+    begin, written = threading.Event(), []
+
+    def write(block: Block) -> None:
+        begin.wait()
+        time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGALRM)
+        time.sleep(0.1)
+        written.append(block.first_step)
+
+    def late(*_: object) -> None:
+        raise TimeoutError("late")
+
+    writing, blocks = Writing(write), [Released(), Released()]
+    for number, block in enumerate(blocks):
+        writing.put(Block(number, block, None))
+    before = signal.signal(signal.SIGALRM, late)
+    try:
+        begin.set()
+        with pytest.raises(TimeoutError, match="late"):
+            writing.finish()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert written == [0, 1]
+    assert [block.count for block in blocks] == [1, 1]
+
+
+@pytest.mark.parametrize("n_env", [4, 700])  # written by one thread, and by several
+@pytest.mark.parametrize("call", [1, 2, 40])
+def test_states_whose_hashes_cannot_be_made(
+    n_env: int, call: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Leave an incomplete file where states and their hashes have parted, even if the program goes on."""
+    calls = []
+
+    def failing(states: object) -> object:
+        calls.append(states)
+        if len(calls) == call:
+            raise MemoryError
+        return fingerprint(states)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("gpusimbench.recorder.capture.states.fingerprint", failing)
+    rows = states(60, n_env)
+    path, stopped = (
+        tmp_path / "a.mcap",
+        r"writing stopped: out of host memory; what was written is in .*a\.mcap\.partial",
+    )
+    log = RecordingWriter(path, simulator="a", version="1", scene="b", n_env=n_env, dt=1.0, steps=None, fields=FIELDS)
+    with pytest.raises(DataLost, match=stopped), log:
+        for row in range(60):
+            try:
+                log.append(*(array[row] for array in rows))
+            except DataLost:
+                assert len(calls) >= call
+    assert len(calls) >= call and not path.exists()
+    recording = open_recording(tmp_path / "a.mcap.partial")
+    verify(recording)
+    assert recording.status == "incomplete"
 
 
 def test_an_error_of_the_writer_ends_the_stepping() -> None:

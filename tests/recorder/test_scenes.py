@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -12,11 +13,13 @@ import numpy as np
 import pytest
 
 from gpusimbench.recorder.command.arguments import _SIMULATED
+from gpusimbench.recorder.command.command import check_configuration
 from gpusimbench.recorder.scenes.base import Box, Plane, Sphere
 from gpusimbench.recorder.scenes.emit.mjcf import deviations, emit_mjcf
 from gpusimbench.recorder.scenes.free_fall import DROP_HEIGHT
 from gpusimbench.recorder.scenes.inclined_collision import SLOPE_ANGLE
 from gpusimbench.recorder.scenes.registry import SCENES, make_scene
+from gpusimbench.schemas.action_generator import GRID
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import SMALL, Command, distribution
@@ -135,6 +138,21 @@ def test_a_run_is_what_the_command_makes_it_where_nothing_is_asked_for() -> None
     assert {name: getattr(plain, name) for name in asked} == {
         **asked, "phases": tuple(asked["phases"].split(",")), "fitted": {},
     }  # fmt: skip
+
+
+def test_joints_whose_range_is_too_wide_to_be_drawn() -> None:
+    """Refuse targets that the generator's words of 32 bits would draw from a part of the range alone."""
+    scene = make_scene("franka")
+    assert scene.actions is not None
+    run = RunConfiguration("mujoco", "franka", n_env=1, dt=0.01, steps=1)
+    for lower, upper in ((-6.3, 6.3), (-4.0, 4.0)):
+        wide = replace(scene.actions, lower=(lower,) * 7, upper=(upper,) * 7)
+        with pytest.raises(UsageError, match=rf"range {lower:g} to {upper:g} in steps .*; at most 65536 steps can be"):
+            check_configuration(run, replace(scene, actions=wide))
+    widest = replace(scene.actions, lower=(-4.0,) * 7, upper=(4.0 - GRID,) * 7)
+    check_configuration(run, replace(scene, actions=widest))
+    drawn = widest.draw(0, n_env=400, first_step=0, n_step=400)
+    assert drawn.min() < -3.99 and drawn.max() > 3.99
 
 
 def _distribution(folder: Path, code: str, names: dict[str, str]) -> None:

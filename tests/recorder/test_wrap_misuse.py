@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import resource
+import signal
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +14,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from gpusimbench import UsageError, open_recording, record_rollout, verify, wrap
+from gpusimbench import RecordingWriter, UsageError, open_recording, record_rollout, verify, wrap
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.recorder.vector.device import rows
 from gpusimbench.schemas.errors import DataLost
 
 jax = pytest.importorskip("jax")
@@ -252,3 +256,44 @@ def test_a_disk_that_is_full(functional: bool, tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.partial"]
     assert open_recording(tmp_path / "a.mcap.partial").status == "incomplete"
+
+
+@pytest.mark.parametrize(
+    ("functional", "number", "raised"),
+    [
+        (True, signal.SIGINT, KeyboardInterrupt),
+        (True, signal.SIGTERM, TimeoutError),
+        (False, signal.SIGINT, KeyboardInterrupt),
+    ],
+)
+def test_an_interruption_while_the_disk_is_behind(
+    functional: bool, number: int, raised: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Write all rows before a recording ends as complete, however the user interrupts the close of an environment."""
+
+    def interrupted(*_: Any) -> None:
+        raise raised
+
+    append = RecordingWriter.append
+
+    def slow(log: RecordingWriter, *arrays: Any) -> None:
+        if len(arrays[0]) in (20, 21):  # the rows behind the last whole block
+            os.kill(os.getpid(), number)
+            time.sleep(0.1)
+        append(log, *arrays)
+
+    monkeypatch.setattr(RecordingWriter, "append", slow)
+    monkeypatch.setattr(rows, "_WAIT_S", 0.0)
+    recorded: Any = wrap(Counting() if functional else cartpoles(), tmp_path / "a.mcap")
+    state = recorded.reset(KEY) if functional else recorded.reset(seed=0)
+    for _ in range(70):
+        state = recorded.step(*((state, jnp.zeros((N_ENV, 1))) if functional else ([0, 1],)))
+    before = signal.signal(number, interrupted)
+    try:
+        with pytest.raises(raised):
+            recorded.close()
+    finally:
+        signal.signal(number, before)
+    recording = open_recording(tmp_path / "a.mcap")
+    verify(recording)
+    assert (recording.status, recording.configuration.steps) == ("complete", 70)

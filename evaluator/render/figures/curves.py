@@ -46,6 +46,16 @@ def shown_rows(values: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.unique(np.array(found, dtype=np.int64))
 
 
+def shown_ends(ends: Sequence[End], first: float, last: float) -> list[End]:
+    """Ends that are drawn between two steps: of more than MAX_BINS, the first of each kind in each stretch."""
+    if len(ends) <= MAX_BINS:
+        return list(ends)
+    kept: dict[tuple[int, bool], End] = {}
+    for end in ends:
+        kept.setdefault((int(MAX_BINS * (end.step - first) / (last - first)), end.terminated), end)
+    return list(kept.values())
+
+
 def curves_chart(
     curves: Sequence[tuple[str, NDArray[np.float64]]], steps: NDArray[np.int64], ends: Sequence[End], *, name: str
 ) -> str:
@@ -53,7 +63,7 @@ def curves_chart(
 
     curves  label and values, shape [row]; a value that is not finite, or beyond 1e100, opens the line
     steps   of the rows, ascending, shape [row]
-    ends    of episodes: a dashed line where terminated, a dotted one where truncated
+    ends    of episodes: a dashed line where terminated, a dotted one where truncated; see shown_ends
     name    of the picture, for those who cannot see it
     """
     curves = [(label, np.where(np.abs(values) < _MOST, values, np.nan)) for label, values in curves]
@@ -80,7 +90,7 @@ def curves_chart(
         _HEIGHT + height,
         name,
         *(element("line", x1=_LEFT, x2=_LEFT + _SIDE, y1=y(v), y2=y(v), class_="faint") for v in ticks),
-        *(_end(end, x(end.step)) for end in ends),
+        *(_end(end, x(end.step)) for end in shown_ends(ends, first, last)),
         axis.frame(_LEFT, _TOP, _SIDE, _UPRIGHT),
         *(axis.left(_LEFT, y(v), axis.tick_label(v)) for v in ticks),
         *(axis.bottom(x(s), low_edge, axis.tick_label(s)) for s in axis.ticks(first, last)),

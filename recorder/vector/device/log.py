@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
 from gpusimbench.recorder.capture.writing import Writing
+from gpusimbench.recorder.interruption import postponed
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.history import History, Reset, Which
 from gpusimbench.recorder.vector.device.rows import OBSERVATION, Arrays, Columns, Rows, check_envs
@@ -188,29 +189,34 @@ class DeviceLog:
             self.end(None)
 
     def end(self, error: BaseException | None) -> None:
-        """Write what is there, and end the recording; an error is its reason."""
+        """Write what is there, and end the recording; an error is its reason. An interruption waits until then."""
+        with postponed():
+            self._end(error)
+
+    def _end(self, error: BaseException | None) -> None:
         if self.ended or self._log is None or self._writing is None:
             return
         self.ended = True
         try:
             self._write()
-        except Exception as second:
+        except BaseException as second:  # also one that a handler of a signal raises: rows are missing then
             error = error or second
             raise
         finally:
             try:
                 self._writing.finish()
-            except Exception as second:
+            except BaseException as second:
                 error = error or second
                 raise
             finally:
                 self._log.end(error)
 
     def _write(self) -> None:
-        log, resets, self._resets = self._log, self._resets, {}
-        if self._rows.filled and log is not None:
-            rows = self._rows.take()
-            self._put(lambda: log.append(rows(), resets))
+        with postponed():  # rows that were taken and not put would be missing
+            log, resets, self._resets = self._log, self._resets, {}
+            if self._rows.filled and log is not None:
+                rows = self._rows.take()
+                self._put(lambda: log.append(rows(), resets))
 
     def _put(self, work: Callable[[], None]) -> None:
         assert self._writing is not None
