@@ -29,7 +29,7 @@ _Layout = dict[str, tuple[Any, tuple[int, ...]]]
 _BLOCK_BYTES = 128 << 20  # that a block may take on the device; images of many environments take that in one row
 
 # Blocks of small rows wait for more rows, at most so many, so long and of so many bytes: each block that is handed over
-# wakes two threads and waits for the interpreter's lock, which on two busy cores costs as much as 30 rows.
+# wakes two threads, which take the interpreter from the one that steps.
 _MOST_ROWS = 8 * STEPS_PER_BLOCK
 _WAIT_S = 0.25
 _WAIT_BYTES = 16 << 20
