@@ -8,6 +8,9 @@ device compute it too.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,12 +30,7 @@ def mix(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 def mix_in_place(word: NDArray[np.uint64], spare: NDArray[np.uint64]) -> None:
     """The same, without memory of its own: `spare` has the shape of `word` and is overwritten."""
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
-        np.right_shift(word, np.uint64(shift), out=spare)
-        np.bitwise_xor(word, spare, out=word)
-        np.multiply(word, np.uint64(factor), out=word)
-    np.right_shift(word, np.uint64(31), out=spare)
-    np.bitwise_xor(word, spare, out=word)
+    _mix(word, spare, ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)), 31)
 
 
 def mix32(word: NDArray[np.uint32]) -> NDArray[np.uint32]:
@@ -46,9 +44,15 @@ def mix32(word: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 def mix32_in_place(word: NDArray[np.uint32], spare: NDArray[np.uint32]) -> None:
     """The same of arrays of numpy, without memory of its own: `spare` has the shape of `word` and is overwritten."""
-    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
-        np.right_shift(word, np.uint32(shift), out=spare)
+    _mix(word, spare, ((16, 0x85EBCA6B), (13, 0xC2B2AE35)), 16)
+
+
+def _mix(word: NDArray[Any], spare: NDArray[Any], rounds: Sequence[tuple[int, int]], last: int) -> None:
+    # words of one type, xored with themselves shifted and multiplied, and at last xored once more
+    of = word.dtype.type
+    for shift, factor in rounds:
+        np.right_shift(word, of(shift), out=spare)
         np.bitwise_xor(word, spare, out=word)
-        np.multiply(word, np.uint32(factor), out=word)
-    np.right_shift(word, np.uint32(16), out=spare)
+        np.multiply(word, of(factor), out=word)
+    np.right_shift(word, of(last), out=spare)
     np.bitwise_xor(word, spare, out=word)

@@ -11,6 +11,12 @@ IMAGE_HASH = "_hash"
 NOT_GIVEN = "not_given"
 """The option that names arrays for which zeros stand, since a data set lacks them: "reward"."""
 
+NO_SEED = "not given"
+"""What RESET_SEEDS says of a first reset without a seed."""
+
+RESET_SEEDS = "seeds"
+"""The option that says what was given in place of the one seed of the first reset: seeds, one an environment."""
+
 PHYSICS = "physics_"
 """Begins the names of the arrays of MuJoCo's qpos and qvel, of each row's observation."""
 

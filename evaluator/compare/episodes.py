@@ -24,6 +24,7 @@ from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.cases import PERMUTATIONS
 from gpusimbench.schemas.errors import NothingComparable
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.vector import NO_SEED, RESET_SEEDS
 
 Values = NDArray[np.float64]
 LENGTH = "length"
@@ -31,8 +32,6 @@ _TITLES = {SUCCESS: "success of episodes", RETURN: "return of episodes", LENGTH:
 _BETTER = {SUCCESS: Direction.HIGHER, RETURN: Direction.HIGHER, LENGTH: Direction.NEITHER}
 _UNITS = {LENGTH: "step"}
 _AXES = {SUCCESS: Axis.EPISODES, RETURN: Axis.EPISODES, LENGTH: Axis.LENGTHS}
-_NO_SEED = "not given"
-_NOTED = "seeds"
 
 
 def compare_episodes(base: Runs, head: Runs, settings: Settings) -> Sequence[tuple[Axis, Finding | Question]]:
@@ -73,7 +72,7 @@ def _quantities(one: Episodes, other: Episodes) -> list[tuple[str, Values, Value
 
 def _by_env(values: Values, runs: Runs) -> Values:
     """Values [env, episode] of independent environments: means over the runs that began with the same seeds."""
-    if runs[0].configuration.options.get(_NOTED) == _NO_SEED:
+    if runs[0].configuration.options.get(RESET_SEEDS) == NO_SEED:
         return values  # each run drew seeds of its own
     mean: Values = values.reshape(len(runs), -1, values.shape[1]).mean(axis=0)
     return mean

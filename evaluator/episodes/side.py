@@ -154,8 +154,8 @@ def choose(side: Side, per_env: int, success: str | None, at: At) -> Episodes:
         return np.concatenate([value(table)[at] for table, at in zip(side.tables, rows, strict=True)])
 
     returns = column(lambda table: table.returns)
-    if not (np.abs(returns) <= _MOST_RETURN).all():
-        env, episode = (int(i) for i in np.argwhere(~(np.abs(returns) <= _MOST_RETURN))[0])
+    if (beyond := ~(np.abs(returns) <= _MOST_RETURN)).any():  # also NaN
+        env, episode = (int(i) for i in np.argwhere(beyond)[0])
         raise NothingComparable(
             f"the return of episode {episode} of {side.place(env)} is {returns[env, episode]:g}; only returns up to "
             f"{_MOST_RETURN:g} are evaluated"

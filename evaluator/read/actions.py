@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import TypeVar
 
@@ -25,6 +25,11 @@ _RATIO, _FREE_BYTES = 64, 8 << 20  # of these hashes compressed: environments of
 
 _T = TypeVar("_T")
 _Block = NDArray[np.floating]  # [step, env, action]
+
+
+def described_generator(topic: str, metadata: Mapping[str, str]) -> str | None:
+    """What a channel of actions says of the generator that draws what its messages do not hold; None of all others."""
+    return metadata.get(GENERATOR) if topics.parse_action(topic) else None
 
 
 class ActionContents:
@@ -50,7 +55,7 @@ class ActionContents:
     def _each(
         self, topic: str, read: Callable[[memoryview, Generator | None], tuple[BlockHeader, _T]]
     ) -> Iterator[tuple[BlockHeader, _T]]:
-        described = self._container.channels[topic].metadata.get(GENERATOR)
+        described = described_generator(topic, self._container.channels[topic].metadata)
         generator = None if described is None else self._named(topic, lambda: read_generator(described))
         for content in self._container.in_sequence(topic):
             header, found = self._named(topic, partial(read, content, generator))

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from gpusimbench.evaluator.read.actions import described_generator
 from gpusimbench.schemas import FORMAT, __version__, topics
 from gpusimbench.schemas.action_generator import GENERATOR, Generator, read_generator
 from gpusimbench.schemas.blocks import raw_action
@@ -124,8 +125,8 @@ class Copier:
         if channel.schema_id not in self._schemas:
             raise DamagedRecording(f"{self._source}: {channel.topic} is of schema {channel.schema_id}, not declared")
         metadata = channel.metadata
-        if self._draw and GENERATOR in metadata and topics.parse_action(channel.topic):
-            self._generators[channel.id] = read_generator(metadata[GENERATOR])
+        if self._draw and (described := described_generator(channel.topic, metadata)) is not None:
+            self._generators[channel.id] = read_generator(described)
             metadata = {name: text for name, text in metadata.items() if name != GENERATOR}
         number = self._writer.channel(
             channel.topic, self._schemas[channel.schema_id], metadata, encoding=channel.message_encoding

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.read.actions import (
     action_names,
     apart_by_design,
     check_actions,
+    described_generator,
     read_actions,
 )
 from gpusimbench.evaluator.read.digests import digest_states
@@ -42,7 +43,6 @@ from gpusimbench.evaluator.read.streams import (
 )
 from gpusimbench.evaluator.read.varied import Factors, factors_of
 from gpusimbench.schemas import checks, topics
-from gpusimbench.schemas.action_generator import GENERATOR
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
@@ -307,7 +307,7 @@ class Recording:
                 self._check_hashes(hashes, steps, computed)
         actions = ActionContents(self._container)
         for topic, channel in self._container.channels.items():
-            if GENERATOR in channel.metadata and topics.parse_action(topic):
+            if described_generator(topic, channel.metadata) is not None:
                 actions.digest(topic, digest)
             elif topics.has_digest(topic):
                 for contents in self._container.batches(topic):

@@ -68,14 +68,12 @@ class ActionWriter:
 
         def encoded(envs: range) -> Sequence[Part]:
             held = told(slice(envs.start, envs.stop))
-            array = drawn(envs) if held is None or self._generated else held
-            same = held is None or _same_bits(held, array)
-            if held is not None and not same:
-                array = held
+            array = drawn(envs) if held is None else held
+            generated = self._generated and (held is None or _same_bits(held, drawn(envs)))
             parts = action_parts(array, first_step=first_step, stride=1, env_start=envs.start, sim_time_ns=time)
             digested.append(envs)
             self._sink.digest.message(topics.action(self._name, envs.start), *(part.data for part in parts))
-            if self._generated and same:
+            if generated:
                 return [Part(generated_action(parts, self._streams.of(envs), envs.start))]
             return parts
 

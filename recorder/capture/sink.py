@@ -175,6 +175,16 @@ class Sink:
         self._lost = f"writing stopped: {what}; {left}"
         return DataLost(self._lost)
 
+    @contextmanager
+    def parting(self) -> Iterator[None]:
+        """Where digests are fed before the bytes that they are of are written: an error in between is one of `lost`."""
+        try:
+            yield
+        except DataLost:
+            raise
+        except Exception as error:
+            raise self.lost(error) from error
+
     def abandon(self) -> None:
         """Close the file as it is: without an end record and under its .partial name."""
         with suppress(OSError):  # the error that led here is the one to report

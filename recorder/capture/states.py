@@ -16,7 +16,6 @@ from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import encode_fingerprints, little_endian, state_parts
 from gpusimbench.schemas.configuration import sim_time_ns
-from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import ALGORITHM, fingerprint
 from gpusimbench.schemas.mcap.writer import Part
@@ -177,12 +176,8 @@ class StateWriter:
             if stored and not whole:  # until the block is full, in memory of their own
                 self._held[-1] = [tuple(array.copy() for array in states) for states in kept]
             # in this order: a file is written by one thread, which must not wait for hashes that others make meanwhile
-            try:
+            with self._sink.parting():  # states and their hashes, too
                 found = self._write_and_look(columns, first, whole=whole)
-            except DataLost:
-                raise
-            except Exception as error:  # states and their hashes have parted
-                raise self._sink.lost(error) from error
         if not found:
             return None
         row, env, what = min(found)
@@ -229,12 +224,8 @@ class StateWriter:
         )
 
     def _end_writing(self, writing: _Writing) -> None:
-        try:
+        with self._sink.parting():
             self._write_blocks(writing)
-        except DataLost:
-            raise
-        except Exception as error:  # digests and bytes have parted
-            raise self._sink.lost(error) from error
         if self._view is not None:
             self._view.rows(writing.first_row, writing.columns, env_block(self._n_env))
 

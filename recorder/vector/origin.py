@@ -6,6 +6,8 @@ import json
 from numbers import Integral
 from typing import Any
 
+from gpusimbench.schemas.vector import NO_SEED, RESET_SEEDS
+
 SPEC_ID, KEYWORDS, WRAPPERS, VECTORIZED = "env_id", "env_kwargs", "env_wrappers", "vectorization"
 """Options of a recording: id of Gymnasium's registry, keywords as JSON, names of wrappers, "sync" or another word."""
 
@@ -22,7 +24,7 @@ def seed_of(seed: Any) -> tuple[int, dict[str, str]]:
     """The seed of a reset, 0 where it is no whole number, and then the option that says what was given instead."""
     if isinstance(seed, Integral):
         return int(seed), {}
-    return 0, {"seeds": "not given" if seed is None else ", ".join(map(str, seed))}
+    return 0, {RESET_SEEDS: NO_SEED if seed is None else ", ".join(map(str, seed))}
 
 
 def origin_of(envs: Any) -> dict[str, str]:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.check.integrity.problem import Kind, Problems, without_path
+from gpusimbench.evaluator.read.actions import described_generator
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.action_generator import GENERATOR
 from gpusimbench.schemas.blocks import state_header
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.errors import DamagedRecording
@@ -217,7 +217,7 @@ class _Scanner:
                 f"{channel.topic} has messages in {channel.message_encoding!r} and a schema in {schema.encoding!r}, "
                 "not in protobuf",
             )
-        generated = GENERATOR in channel.metadata and topics.parse_action(channel.topic) is not None
+        generated = described_generator(channel.topic, channel.metadata) is not None
         self._found.streams.setdefault(channel.topic, Stream(channel.topic, schema.name if schema else "", generated))
 
     def _message(self, record: Record) -> tuple[int, int] | None:

@@ -20,7 +20,7 @@ from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.captured import Captured, Held, gathered
+from gpusimbench.recorder.simulators.captured import Captured, gathered
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.genesis import runtime
 from gpusimbench.recorder.simulators.genesis.deviations import deviations
@@ -280,7 +280,7 @@ class Genesis(Simulator):
         self.reserve(n_step)
         assert self._slots is not None
         if n_step > self._slots.rows:
-            return Held(self.states(n_step), self.evidence())
+            return super().begin_states(n_step)
         slot = self._slots.take()
         for row in range(n_step):
             self._advance()

@@ -21,7 +21,7 @@ from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator
-from gpusimbench.recorder.simulators.captured import Captured, Held, States, gathered
+from gpusimbench.recorder.simulators.captured import Captured, States, gathered
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.block import STATES, IsaacLabBlock
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
@@ -286,7 +286,7 @@ class IsaacLab(Simulator):
         self.reserve(n_step)
         assert self._slots is not None
         if n_step > self._slots.rows:
-            return Held(self.states(n_step), self._counted)
+            return super().begin_states(n_step)
         import warp as wp
 
         slot = self._slots.take()

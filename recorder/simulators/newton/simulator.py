@@ -23,7 +23,7 @@ from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.captured import Captured, Held, gathered
+from gpusimbench.recorder.simulators.captured import Captured, gathered
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions, replacement
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, MUJOCO_SOLVERS, NewtonOptions
@@ -344,7 +344,7 @@ class Newton(Simulator):
         self.reserve(n_step)
         assert self._slots is not None and self._storing is not None
         if n_step > self._slots.rows:
-            return Held(self.states(n_step), self.evidence())
+            return super().begin_states(n_step)
         slot = self._slots.take()
         self._ring.go_to(slot.first)
         self._made += n_step

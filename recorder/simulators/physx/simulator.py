@@ -24,7 +24,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator
-from gpusimbench.recorder.simulators.captured import Captured, Held, States, gathered
+from gpusimbench.recorder.simulators.captured import Captured, States, gathered
 from gpusimbench.recorder.simulators.physx import grid
 from gpusimbench.recorder.simulators.physx.block import PhysxBlock
 from gpusimbench.recorder.simulators.physx.deviations import deviations
@@ -236,7 +236,7 @@ class Physx(Simulator):
         self.reserve(n_step)
         assert self._slots is not None
         if n_step > self._slots.rows:
-            return Held(self.states(n_step))
+            return super().begin_states(n_step)
         slot = self._slots.take()
         for row in range(n_step):
             self._advance(1)
