@@ -118,7 +118,9 @@ def test_a_run_ends_with_the_command_that_started_it(plugin: dict[str, str], tmp
     assert open_recording(file).status == "failed"
 
 
-@pytest.mark.parametrize("limit", [2_000, 60_000, 400_000, 1_500_000])
+@pytest.mark.parametrize(
+    "limit", [60_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (2_000, 400_000, 1_500_000))]
+)
 def test_a_full_disk(gsb_record: Command, tmp_path: Path, limit: int) -> None:
     """Say that writing stopped, end with 3, and leave no file that reads as complete."""
 
