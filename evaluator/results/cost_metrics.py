@@ -207,7 +207,7 @@ FPS = Metric(
 
 DEVICE_MEMORY = Metric(
     "memory_peak_increment", "GPU memory increment", "GB", Direction.LOWER,
-    "largest reading of the GPU's memory in the timed phase (up to its last clock reading) minus the baseline; NVML's "
+    "largest reading of the GPU's memory in the timed phase (up to its last clock reading) minus the baseline. NVML's "
     "figure for the whole device that steps, which is the first that CUDA shows to the run; mean over runs without a "
     "known [co-tenant](#gpu-memory-and-other-processes)",
     method="peak of the timed phase minus baseline (NVML, the whole of the device that steps)", published=True,
