@@ -100,6 +100,7 @@ def test_steps_keep_their_numbers(whole: Path, rest: Path) -> None:
     assert recording.provenance.replay_of.changed == {"initial": "random:0.1"}
 
 
+@pytest.mark.slow
 def test_an_audit_of_a_continued_run(rest: Path, tmp_path: Path) -> None:
     """Run it again from the snapshot that it holds."""
     done = call("gsb-audit", rest, "--out", tmp_path, code=0)
