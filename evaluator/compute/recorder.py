@@ -51,7 +51,11 @@ def record(arguments: Sequence[str], say: Callable[[str], None]) -> tuple[tuple[
         while held:
             say(held.pop(0))
 
-    returncode, output, said = _said(["gpusimbench.recorder.cli", *arguments, "--json"], hold)
+    try:
+        returncode, output, said = _said(["gpusimbench.recorder.cli", *arguments, "--json"], hold)
+    except KeyboardInterrupt:
+        release()
+        raise
     if returncode == ExitCode.USAGE and not output:
         return (), _refusal(said)
     release()

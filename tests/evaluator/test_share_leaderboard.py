@@ -84,6 +84,8 @@ def test_a_place_is_by_the_slowest_outcome(runs: Path, tmp_path: Path, capsys: p
     assert [(row["simulator"], row["place"]) for row in section["rows"]] == [("steady", 1), ("either", 2)]
     steady, either = (row["throughput"]["value"] for row in section["rows"])
     assert either > steady
+    speeds = [row["speeds"] for row in section["rows"]]
+    assert speeds[0] is None and speeds[1]["outcomes"][0]["low"] < steady
     assert "by outcome: 5 runs at" in (tmp_path / "board" / "index.html").read_text()
     capsys.readouterr()
     made(tmp_path, *sorted(runs.glob("either*.mcap")))
