@@ -196,20 +196,18 @@ def browser() -> Iterator[Browser]:
 
 
 _LONGEST = "test_simulators"
-_ENGINES = ("test_warp", "test_mjx", "test_brax", "test_newton")
-_ENGINES_AT_ONCE = ("test_warp", "test_newton", "test_mjx", "test_brax")
+_ENGINES = ("test_warp", "test_newton", "test_mjx", "test_brax")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the longest file; end with tests that load an engine into this process, so that none spoils another.
+    """Begin with the longest file; end with tests that load an engine into this process.
 
-    JAX minds every fork that comes after it, and Warp's modules keep the determinism mode that a test of Newton set.
-    Newton's take as long as the two that follow them where a worker runs each.
+    JAX minds every fork that comes after it. Newton's tests take as long as the two files that follow them where a
+    worker runs each.
     """
-    engines = _ENGINES_AT_ONCE if "PYTEST_XDIST_WORKER" in os.environ else _ENGINES
 
     def turn(item: pytest.Item) -> int:
         name = item.path.stem
-        return engines.index(name) + 1 if name in engines else -int(name == _LONGEST)
+        return _ENGINES.index(name) + 1 if name in _ENGINES else -int(name == _LONGEST)
 
     items.sort(key=turn)

@@ -99,6 +99,7 @@ def test_rounding_that_contacts_amplify(tmp_path: Path, regime: str, type_: int,
     assert (found["capture_changes_states"]["value"], found["capture_changes_states"]["n"]) == (0, 2)
 
 
+@pytest.mark.slow
 def test_one_ulp_in_one_env_of_4096(tmp_path: Path) -> None:
     """Find the one environment, the step, and nothing else: neither another environment nor a difference of runs."""
     record(tmp_path, *FEW, "--n-env", 4096, "--runs", 2, regime="offset", ulps=1, env=1234, at=3)
@@ -182,6 +183,7 @@ def test_nothing_is_found_where_nothing_is(tmp_path: Path) -> None:
     assert found["regime_published"]["value"] == 2
 
 
+@pytest.mark.slow
 def test_a_capture_that_changes_states(tmp_path: Path) -> None:
     """Blame the capture for other states where runs repeat themselves, and leave open what draws anew in each build."""
     arguments = ("--n-env", 2, "--runs", 2, "--steps", 5, "--warmup", 1, "--timed-steps", 2)
@@ -193,6 +195,7 @@ def test_a_capture_that_changes_states(tmp_path: Path) -> None:
     assert changed["extra"] == {"differ": 2, "of": 2}
 
 
+@pytest.mark.slow
 def test_a_run_tells_what_it_drew(tmp_path: Path) -> None:
     """Keep the drawn digits in the recording, from which the distance of two runs follows; both are of one group."""
     record(tmp_path, *FEW, "--n-env", 2, "--runs", 2, regime="run-order", shift=0.1, contacts="off")

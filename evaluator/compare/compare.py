@@ -15,6 +15,7 @@ from gpusimbench.evaluator.compare.numbers import compare_numbers, compared_by
 from gpusimbench.evaluator.compare.outcome import JOINT_OUTCOMES, compare_outcomes, compare_spread
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_arrays, compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.schedule import Schedule, schedule
+from gpusimbench.evaluator.compare.seeds import pooled, seed_by_seed, seeds_said
 from gpusimbench.evaluator.compare.sides import Side
 from gpusimbench.evaluator.compare.validity import compare_validity
 from gpusimbench.evaluator.compute.work import Work
@@ -136,7 +137,7 @@ def compare(base: Side, head: Side, settings: Settings, work: Work, across: Coll
     read = [runs[: len(base.files)], runs[len(base.files) :]]
     sides = [group(side) for side in read]
     measured = sum(g.measured for side in sides for g in side)
-    groups = [[g for g in side if not g.measured] for side in sides]
+    groups = [pooled([g for g in side if not g.measured]) for side in sides]
     check_across(across, [*groups[0], *groups[1]])
     matching = match(groups[0], groups[1], across)
     protocols = [Protocol(side) for side in read]
@@ -200,8 +201,15 @@ def _draft(pair: Pair, protocols: Sequence[Protocol], settings: Settings, work: 
             of_joints = metric in JOINT_METRICS
             found = joints[metric.unit] if of_joints else between
             add(Axis.VARIABILITY, compare_spread(metric, found, settings, applies=applies or of_joints))
-    add(Axis.DETERMINISM, *compare_determinism(one, other))
-    add(Axis.BITS, compare_bits(base, head), compare_arrays(base, head))
+
+    def repeated(one: Runs, other: Runs) -> Sequence[Finding]:
+        return compare_determinism(*(GroupRuns(runs, work=work) for runs in (one, other)))
+
+    def bits(one: Runs, other: Runs) -> Sequence[Finding]:
+        return [found for found in (compare_bits(one, other), compare_arrays(one, other)) if found]
+
+    add(Axis.DETERMINISM, *seed_by_seed(base, head, repeated, Axis.DETERMINISM))
+    add(Axis.BITS, *seed_by_seed(base, head, bits, Axis.BITS))
     for axis, item in compare_episodes(base, head, settings):
         add(axis, item)
     timed_base, timed_head = (
@@ -245,6 +253,7 @@ def _compared(draft: _Draft, findings: list[Finding], alpha: float) -> Compared:
         for name, side, runs in (("base", draft.pair.base, draft.base), ("head", draft.pair.head, draft.head))
         for note in (*status_notes(side), *cotenant_notes(runs))
     ]
+    notes += seeds_said(draft.base, draft.head)
     return Compared(
         draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings, alpha)), tuple(notes), draft.timed
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, judged, not_compared
+from gpusimbench.evaluator.compare.seeds import seed_of
 from gpusimbench.evaluator.episodes.comparison import difference_of, pairs_of
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS
 from gpusimbench.evaluator.episodes.side import Episodes, choose, read_side
@@ -24,7 +25,6 @@ from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.cases import PERMUTATIONS
 from gpusimbench.schemas.errors import NothingComparable
 from gpusimbench.schemas.fields import ENV
-from gpusimbench.schemas.vector import NO_SEED, RESET_SEEDS
 
 Values = NDArray[np.float64]
 LENGTH = "length"
@@ -51,11 +51,12 @@ def compare_episodes(base: Runs, head: Runs, settings: Settings) -> Sequence[tup
     except NothingComparable as error:
         return [(Axis.EPISODES, not_compared(Axis.EPISODES, RETURN, _TITLES[RETURN], str(error)))]
     n = (len(base), len(head))
-    together = pairs_of(other, one).formed
-    return [
-        (_AXES[name], _compared(name, _by_env(before, base), _by_env(after, head), n, settings, together=together))
-        for name, before, after in _quantities(one, other)
-    ]
+    formed = pairs_of(other, one).formed
+    asked = []
+    for name, before, after in _quantities(one, other):
+        was, now = _by_env(before, base), _by_env(after, head)
+        asked.append((_AXES[name], _compared(name, was, now, n, settings, together=formed and len(was) == len(now))))
+    return asked
 
 
 def _tells_success(run: Run) -> bool:
@@ -72,10 +73,10 @@ def _quantities(one: Episodes, other: Episodes) -> list[tuple[str, Values, Value
 
 def _by_env(values: Values, runs: Runs) -> Values:
     """Values [env, episode] of independent environments: means over the runs that began with the same seeds."""
-    if runs[0].configuration.options.get(RESET_SEEDS) == NO_SEED:
-        return values  # each run drew seeds of its own
-    mean: Values = values.reshape(len(runs), -1, values.shape[1]).mean(axis=0)
-    return mean
+    by_seed: dict[Hashable, list[Values]] = {}
+    for run, of_run in zip(runs, np.split(values, len(runs)), strict=True):
+        by_seed.setdefault(seed_of(run), []).append(of_run)
+    return np.concatenate([np.mean(alike, axis=0) for alike in by_seed.values()])
 
 
 def _compared(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Hashable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from gpusimbench.evaluator.compare.seeds import without_seeds
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, precisions
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
@@ -51,7 +52,7 @@ def match(base: Groups, head: Groups, across: Collection[str] = ()) -> Matching:
 
     Those of equal keys first. Then those that were asked for the same on machines of one kind: versions, packages,
     drivers, environment variables and options that nobody asked for may differ, since they are what is compared. Then
-    those on other machines. A group for which several could be the partner has none.
+    those on other machines. A group for which several could be the partner has none. Seeds of tasks may differ.
 
     across  names of options, or of ACROSS, that may differ too
     """
@@ -85,13 +86,13 @@ def check_across(across: Collection[str], groups: Groups) -> None:
 
 
 def _unique(
-    left: list[Group[Run]], right: list[Group[Run]], rule: Callable[[Group[Run]], Hashable]
+    left: list[Group[Run]], right: list[Group[Run]], rule: Callable[[Group[Run]], GroupKey]
 ) -> list[tuple[Group[Run], Group[Run]]]:
     """Take those out of both lists whose key no other has."""
-    alike: dict[Hashable, tuple[list[Group[Run]], list[Group[Run]]]] = {}
+    alike: dict[GroupKey, tuple[list[Group[Run]], list[Group[Run]]]] = {}
     for side, groups in enumerate((left, right)):
         for group in groups:
-            alike.setdefault(rule(group), ([], []))[side].append(group)
+            alike.setdefault(without_seeds(rule(group), group), ([], []))[side].append(group)
     found = [(a[0], b[0]) for a, b in alike.values() if len(a) == len(b) == 1 and _one_scene(a[0], b[0])]
     for group, other in found:
         left.remove(group)
@@ -127,7 +128,8 @@ def _one_scene(one: Group[Run], other: Group[Run]) -> bool:
 
 
 def _why(group: Group[Run], others: Groups, across: Collection[str]) -> str:
-    alike = [g for g in others if anywhere(g, across) == anywhere(group, across)]
+    wanted = without_seeds(anywhere(group, across), group)
+    alike = [g for g in others if without_seeds(anywhere(g, across), g) == wanted]
     if not alike:
         return "no group of the other side was asked for the same"
     if not any(_one_scene(group, g) for g in alike):

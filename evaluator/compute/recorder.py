@@ -35,14 +35,30 @@ class Made:
 def record(arguments: Sequence[str], say: Callable[[str], None]) -> tuple[tuple[Made, ...], str]:
     """Run gsb-record and wait for its end: the runs that were begun, and why none was.
 
-    say  gets what it says on the way, line by line
+    say  gets what it says on the way, line by line, without the refusal that is returned
 
     GsbError where it cannot be started or does not say what it did. An interruption is passed on to it, and raised
     again once it has ended.
     """
-    returncode, output, said = _said(["gpusimbench.recorder.cli", *arguments, "--json"], say)
+    held: list[str] = []  # complaints that may be the last words
+
+    def hold(told: str) -> None:
+        held.append(told)
+        if not told.startswith(f"{COMMAND}: "):
+            release()
+
+    def release() -> None:
+        while held:
+            say(held.pop(0))
+
+    try:
+        returncode, output, said = _said(["gpusimbench.recorder.cli", *arguments, "--json"], hold)
+    except KeyboardInterrupt:
+        release()
+        raise
     if returncode == ExitCode.USAGE and not output:
         return (), _refusal(said)
+    release()
     return _made(output, returncode, said), ""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.document import EMPTY, Cell, Tone
+from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.metric import Estimate
 
 
@@ -21,6 +22,15 @@ def estimate(found: Estimate, *notes: str, tone: Tone = Tone.PLAIN) -> Cell:
         tuple(note for note in notes if note),
         tone,
     )
+
+
+def ranked(fps: Estimate) -> Cell:
+    """The throughput by which a group is ranked: the estimate, or the range of the slowest outcome."""
+    speeds = fps.of(Throughput).speeds
+    if speeds is None:
+        return estimate(fps)
+    slowest = speeds.outcomes[0]
+    return Cell(slowest.said, slowest.low, notes=(f"the slowest of {len(speeds.outcomes)} outcomes",))
 
 
 def quantity(value: float | None, unit: str = "", *notes: str, tone: Tone = Tone.PLAIN) -> Cell:

@@ -141,7 +141,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for one in fastest(results):
         if one.first:
             device = one.device or "an unnamed device"
-            fps = f"{one.first.result.label}, {one.first.fps:,.0f} env-steps/s"
+            fps = f"{one.first.result.label}, {one.first.said}"
             yield Text(f"Fastest valid simulator in {one.scene} on {device}: {fps}")
 
 

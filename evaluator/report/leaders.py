@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput, ranked_words
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import most_common, window_key
@@ -25,8 +26,13 @@ class Speed:
 
     @property
     def fps(self) -> float:
-        """Throughput [env-steps/s]."""
-        return known(self.result.metrics["fps"].value) or 0.0
+        """Throughput by which it is ranked [env-steps/s]."""
+        return ranked_throughput(self.result.metrics[FPS.name])
+
+    @property
+    def said(self) -> str:
+        """That throughput in words, with its unit."""
+        return ranked_words(self.result.metrics[FPS.name])
 
 
 @dataclass(frozen=True)

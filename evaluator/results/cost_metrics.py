@@ -10,7 +10,7 @@ from gpusimbench.evaluator.metrics.capture import overhead
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
-from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.results.aggregate import MEDIAN, Runs
 from gpusimbench.evaluator.results.details import (
     CaptureOverhead,
@@ -43,6 +43,21 @@ def _throughput(group: GroupRuns) -> Throughput:
         timing_covers=simulation.timing_covers if simulation else "", co_tenants=_presence(group.runs),
         speeds=_speeds(group),
     )  # fmt: skip
+
+
+def ranked_throughput(fps: Estimate) -> float:
+    """Throughput by which a group is ranked [env-steps/s]; 0 where none was timed.
+
+    The mean over runs; where throughput goes with the outcome, which no run can choose, that of the slowest run.
+    """
+    speeds = fps.of(Throughput).speeds
+    return speeds.outcomes[0].low if speeds else known(fps.value) or 0.0
+
+
+def ranked_words(fps: Estimate) -> str:
+    """The same with its unit."""
+    speeds = fps.of(Throughput).speeds
+    return speeds.slowest if speeds else f"{ranked_throughput(fps):,.0f} {FPS.unit}"
 
 
 def _speeds(group: GroupRuns) -> Speeds | None:
@@ -192,7 +207,7 @@ FPS = Metric(
 
 DEVICE_MEMORY = Metric(
     "memory_peak_increment", "GPU memory increment", "GB", Direction.LOWER,
-    "largest reading of the GPU's memory in the timed phase (up to its last clock reading) minus the baseline; NVML's "
+    "largest reading of the GPU's memory in the timed phase (up to its last clock reading) minus the baseline. NVML's "
     "figure for the whole device that steps, which is the first that CUDA shows to the run; mean over runs without a "
     "known [co-tenant](#gpu-memory-and-other-processes)",
     method="peak of the timed phase minus baseline (NVML, the whole of the device that steps)", published=True,

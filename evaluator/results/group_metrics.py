@@ -315,9 +315,9 @@ SANK = Metric(
 REGIME = Metric(
     "regime_published", "published type", "type", Direction.NEITHER,
     "[type](regimes.md) 1 to 4: whether `w1_parallel` and `w1_run_to_run` are nonzero after rounding to 0.01 cm. "
-    "`probabilities`: probability of each type for another sample of as many runs, by resampling whole runs; "
-    "`decided_by`: indices of the runs without which the type would differ; `agreement`: whether all runs are equal in "
-    "`bits` or only by `rounding`; `distinct`: number of runs that are distinct by bits; `run_differs_below`: if all "
+    "`probabilities`: probability of each type for another sample of as many runs, by resampling whole runs. "
+    "`decided_by`: indices of the runs without which the type would differ. `agreement`: whether all runs are equal in "
+    "`bits` or only by `rounding`. `distinct`: number of runs that are distinct by bits. `run_differs_below`: if all "
     "runs are equal in that sense, upper bound on the probability that another run is not "
     "([statistics](statistics.md))",
     method="variability counts as present where it is nonzero after rounding to 0.01 cm", published=True,

@@ -305,7 +305,7 @@ EQUALITY_RUNS = Metric(
 DIVERGENCE_RATE = Metric(
     "divergence_rate", "divergence rate of envs", "1/s", Direction.LOWER,
     "rate of an exponential fitted to the largest distance of a body from the same body in environment 0, from the "
-    "first nonzero distance up to 1 mm (without bodies, to the largest difference of a hinge, up to 1 mrad); mean over "
+    "first nonzero distance up to 1 mm (without bodies, to the largest difference of a hinge, up to 1 mrad). Mean over "
     "runs, with the curve of one run. A run has no rate if R squared of "
     f"its fit is below {MIN_R_SQUARED:g}: [`divergence`](#divergence) has the fit",
     method="rate of an exponential through the largest distance of a body from environment 0, from the first that is "

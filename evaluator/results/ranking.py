@@ -10,7 +10,7 @@ from typing import TypeVar
 from gpusimbench.evaluator.metrics.guidelines import Guideline, guidelines
 from gpusimbench.evaluator.metrics.radar import Axis, Radar, SimulatorResult, radar
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, common_memory
+from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, common_memory, ranked_throughput
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.metrics import on_radar
@@ -263,6 +263,8 @@ def _contender(
     if n_max is None:
         why_not[Axis.PARALLELISM] = _NO_SWEEP
     fps = value(Axis.THROUGHPUT, speed)
+    if fps is not None and speed is not None:
+        fps = ranked_throughput(speed.metrics["fps"])
     figures = SimulatorResult(
         name=name,
         fps=fps,
@@ -271,7 +273,7 @@ def _contender(
         w1_real=value(Axis.EMD_TO_REAL, parts.group),
         parallel=value(Axis.PARALLEL, parts.group),
         run_to_run=value(Axis.RUN_TO_RUN, parts.group),
-        fps_articulated=known(robot.metrics["fps"].value) if robot else None,
+        fps_articulated=(ranked_throughput(robot.metrics["fps"]) or None) if robot else None,
         n_max_articulated=parts.robot.n_max if parts.robot else None,
         barred=_barred(results, parts.group, parts.sweep.at_max if parts.sweep else None, robot),
         barred_articulated=_barred(results, robot),

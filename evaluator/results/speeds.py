@@ -37,6 +37,11 @@ class Speeds:
     p_value: float
 
     @property
+    def slowest(self) -> str:
+        """What every run reaches."""
+        return f"{self.outcomes[0].said} env-steps/s in the slowest of {len(self.outcomes)} outcomes"
+
+    @property
     def ranges(self) -> str:
         """Runs and range of each outcome."""
         said = [f"{one.runs} run{'s' if one.runs > 1 else ''} at {one.said}" for one in self.outcomes]

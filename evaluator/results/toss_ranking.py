@@ -16,7 +16,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.missing import known
-from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION
@@ -137,7 +137,7 @@ def _alike(one: GroupResult, other: GroupResult) -> bool:
 
 
 def _fps(result: GroupResult) -> float:
-    return known(result.metrics[FPS.name].value) or 0.0
+    return ranked_throughput(result.metrics[FPS.name])
 
 
 def _per_toss(result: GroupResult) -> dict[int, float]:

@@ -56,7 +56,7 @@ class Chunks:
                 self._opened.move_to_end(number)
                 return self._opened[number]
         chunk = self._all[number]
-        begin = chunk.record - RECORD_HEAD
+        begin = chunk.at
         if not self._source.near and chunk.end - chunk.begin > decompression.MAX_BYTES:
             raise DamagedRecording(
                 f"{self._place}: the chunk at byte {begin} has {chunk.end - chunk.begin} bytes, more than the "
@@ -73,10 +73,10 @@ class Chunks:
             data = decompression.decompress(chunk.compression, stored, chunk.uncompressed_size)
         except ValueError as error:
             self._source.confirm()
-            raise DamagedRecording(f"{self._place}: the chunk at byte {chunk.begin} is damaged: {error}") from None
+            raise DamagedRecording(f"{self._place}: the chunk at byte {begin} is damaged: {error}") from None
         if crc and zlib.crc32(data) != crc:
             self._source.confirm()
-            raise DamagedRecording(f"{self._place}: a chunk at byte {chunk.begin} fails its CRC")
+            raise DamagedRecording(f"{self._place}: the chunk at byte {begin} fails its CRC")
         mapped = self._source.near and not chunk.compression
         self._keep(number, data, 0 if mapped else crc)
         return data, crc

@@ -323,7 +323,7 @@ class Contents:
     def _scan_chunk(self, number: int) -> None:
         data, _ = self.chunks.open(number)
         heads: list[MessageHead] = []
-        for record in Walk(self.source).within(data, self.chunks[number].record - RECORD_HEAD, heads):
+        for record in Walk(self.source).within(data, self.chunks[number].at, heads):
             if record.opcode == Op.MESSAGE:
                 record.message(self.place)  # too short, or it were among the heads
             else:

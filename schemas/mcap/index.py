@@ -192,7 +192,7 @@ class _Summary:
 
     def _check_places(self) -> None:
         # within the data section, none upon another
-        taken = [(c.chunk.record - RECORD_HEAD, c.chunk.end + c.index_bytes) for c in self._chunks]
+        taken = [(c.chunk.at, c.chunk.end + c.index_bytes) for c in self._chunks]
         taken += [(a.record - RECORD_HEAD, a.end + 4) for a in self._attachments]
         behind = len(MAGIC)
         for begin, end in sorted(taken):

@@ -293,6 +293,11 @@ class Chunk:
     begin: int
     end: int
 
+    @property
+    def at(self) -> int:
+        """The byte of the file at which the whole record begins: what messages name a chunk by."""
+        return self.record - RECORD_HEAD
+
 
 class ChunkHead(NamedTuple):
     """A chunk, what it says of the log times of its messages [ns], and its CRC, zero where it has none."""

@@ -77,7 +77,7 @@ class _Verification:
     def _expected(self, end: int) -> int:
         # where the next chunk begins, or what follows the last
         chunks = self._contents.chunks
-        return chunks[self._chunks].record - RECORD_HEAD if self._chunks < len(chunks) else end
+        return chunks[self._chunks].at if self._chunks < len(chunks) else end
 
     def _visit_chunk(self) -> None:
         contents, number = self._contents, self._chunks
@@ -86,7 +86,7 @@ class _Verification:
         data, known = contents.chunks.open(number)
         # what a chunk declares, which nobody looks at where an index says what is in it, and other readers do
         messages: list[MessageHead] = []
-        for record in self._walk.within(data, chunk.record - RECORD_HEAD, messages):
+        for record in self._walk.within(data, chunk.at, messages):
             if record.opcode != Op.MESSAGE:
                 self._inside.take(record)
         if chunk.compression or not known:

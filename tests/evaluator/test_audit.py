@@ -182,7 +182,13 @@ _REACHED = {
 }
 
 
-@pytest.mark.parametrize(("there", "here"), _REACHED)
+_QUICK = (("nothing", "ulp"), ("noise:1", "noise:2"), ("nothing", "no-device"))
+
+
+@pytest.mark.parametrize(
+    ("there", "here"),
+    [pair if pair in _QUICK else pytest.param(*pair, marks=pytest.mark.slow) for pair in _REACHED],
+)
 def test_every_level_is_reached(there: str, here: str, plugin: dict[str, str], tmp_path: Path) -> None:
     """Reach each rung of the ladder with runs that differ by a known thing."""
     (original,) = _recorded(tmp_path, plugin, planted=there)
@@ -465,6 +471,7 @@ def test_copies_are_one_draw() -> None:
     assert not numbered.can_reject
 
 
+@pytest.mark.slow
 def test_large_runs_are_drawn_from() -> None:
     """Test some environments of many, the same ones on both sides, and say how many."""
     rng = np.random.default_rng(3)

@@ -27,7 +27,7 @@ from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from tests.conftest import Command, run_python
 from tests.evaluator.damaged import BYTES, SCENE_CHANGED, whole
-from tests.synthetic import Shown, changing, configured, write_recording
+from tests.synthetic import Shown, changing, configured, grid, write_recording
 from tests.test_docs import blocks, commands, shell
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -553,3 +553,12 @@ def test_document_rules(tmp_path: Path) -> None:
     (block,) = blocks(ROOT / "docs" / "check.md", "toml")
     (rule,) = parse_rules(block, "docs/check.md").rules
     assert (rule.id, rule.argument) == ("long-enough", 5000)
+
+
+def test_numbers_have_their_unit(tmp_path: Path) -> None:
+    """Say what was found with the unit that the fact's meaning has, and without any where it has none."""
+    path = write_recording(tmp_path, grid(2), dt=0.02, warmup=3)
+    said = {finding.rule.id: finding.found for finding in check([examine(path)], [PROTOCOL]).findings}
+    assert (said["dt"], said["dt-of-scene"]) == ("found 0.02 s", "found 0.02, not 0.01 s")
+    assert said["warm-up"] == "found 3"
+    assert (FACTS["timed_seconds"].unit, FACTS["timed_throttled_share"].unit, FACTS["scene"].unit) == ("s", "", "")

@@ -75,6 +75,42 @@ def test_repetitions_are_no_further_environments(capsys: pytest.CaptureFixture[s
     assert thrice["p_value"] == once["p_value"]
 
 
+def test_seeds_are_one_sample(capsys: pytest.CaptureFixture[str]) -> None:
+    """Take several seeds as gsb-episodes does, in one configuration, and judge bits and repetition seed by seed."""
+    near, sweep = ([recorded(policy, 16, 4, seed=seed) for seed in range(3)] for policy in ("near", "sweep"))
+    policies = [
+        choose(read_side([open_recording(path) for path in side]), 4, "success", At.LAST) for side in (sweep, near)
+    ]
+    (wanted,) = [one for one in compare_policies(*policies).differences if one.name == "return"]
+    gates = ("--gate", "episodes,determinism,bits")
+    _, configuration, found = compared("--base", *near, "--head", *sweep, *gates, capsys=capsys)
+    assert found["return"]["n"] == {"base": 3, "head": 3} and "48 environments" in found["return"]["method"]
+    assert "began alike" in found["return"]["method"]
+    assert found["return"]["head"] - found["return"]["base"] == pytest.approx(wanted.difference)
+    assert found["return"]["difference_ci95"] == pytest.approx(wanted.ci95)
+    assert found["return"]["p_value"] == wanted.p_value
+    assert "3 seeds of base and 3 of head, 3 on both sides, are one sample" in configuration["notes"]
+    assert found["distinct_runs"]["undecided"] and "differ from step" in found["states"]["undecided"]
+
+    # two runs of each seed: neither repeats another seed, and both repeat their own
+    again = [recorded("near", 16, 4, copy=1, seed=seed) for seed in range(2)]
+    _, _, found = compared("--base", near[0], again[0], near[1], again[1], "--head",
+                           *(recorded("near", 16, 4, copy, seed) for copy in (2, 3) for seed in range(2)),
+                           capsys=capsys)  # fmt: skip
+    for name in ("distinct_runs", "states"):
+        assert found[name]["change"] == "same" and "of 2 seeds" in found[name]["note"]
+    assert found["return"]["note"] == "the same in every episode"
+
+
+def test_other_seeds(capsys: pytest.CaptureFixture[str]) -> None:
+    """Compare policies over seeds that are not the same, without pairs; bits are of no seed then."""
+    near, sweep = recorded("near", 16, 4), [recorded("sweep", 16, 4, seed=seed) for seed in (1, 2)]
+    _, configuration, found = compared("--base", near, "--head", *sweep, "--gate", "bits", capsys=capsys)
+    assert "not paired" in found["return"]["method"] and "(16 and 32 environments" in found["return"]["method"]
+    assert "1 seed of base and 2 of head, 0 on both sides, are one sample" in configuration["notes"]
+    assert found["states"]["undecided"] == "base and head have no seed in common"
+
+
 def test_other_numbers_of_environments(capsys: pytest.CaptureFixture[str]) -> None:
     """Compare across n_env without pairs; leave what too few environments cannot show to nobody's guess."""
     code, configuration, found = compared(

@@ -221,11 +221,11 @@ def test_print_shows_what_is_open(browser: Browser, page: Path, dark: bool) -> N
 
 def test_the_print_is_whole(browser: Browser, page: Path, tmp_path: Path) -> None:
     """Print every heading, and every recording's name where all sections are open."""
+    if shutil.which("pdftotext") is None:
+        pytest.skip("no pdftotext to read PDF with")
     browser.open(page)
     browser.evaluate(OPEN_ALL)
     browser.pdf(tmp_path / "page.pdf")
-    if shutil.which("pdftotext") is None:
-        pytest.skip("no pdftotext to read PDF with")
     done = subprocess.run(["pdftotext", str(tmp_path / "page.pdf"), "-"], capture_output=True, text=True, check=True)
     browser.open(page)
     printed = "".join(done.stdout.split())

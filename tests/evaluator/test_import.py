@@ -234,7 +234,7 @@ def test_another_order(kind: str, parts: tuple[str, str], reference: Held, tmp_p
         assert [link.link for link in _moved(reference, broken)[0].wrong] == ["lower"]
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "warp"])
+@pytest.mark.parametrize("engine", ["mujoco", pytest.param("warp", marks=pytest.mark.slow)])
 def test_no_false_alarm(engine: str, reference: Held, tmp_path: Path) -> None:
     """Find nothing where an engine was given the same model, and compare all of it."""
     held = _held(_write(tmp_path, MODEL), engine)

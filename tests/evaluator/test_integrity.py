@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,16 @@ from gpusimbench.schemas.mcap.decompression import decompress
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, SCENE, SIMULATION
 from gpusimbench.schemas.source import MappedFile
-from tests.evaluator.damaged import BYTES, REWRITTEN, SCENE_CHANGED, WRITTEN, hashes_of_others, rewritten, whole
+from tests.evaluator.damaged import (
+    BYTES,
+    REWRITTEN,
+    SCENE_CHANGED,
+    WRITTEN,
+    hashes_of_others,
+    places,
+    rewritten,
+    whole,
+)
 from tests.evaluator.test_strangers import FORGERIES
 from tests.synthetic import Shown, changing, configured, grid, write_recording
 
@@ -383,6 +393,11 @@ def test_the_streams_of_a_damaged_chunk_are_named(tmp_path: Path) -> None:
     found = examine(path)
     assert "it is of /state/cubes/position/000000" in found.of(Kind.chunk_crc)[0]
     assert found.of(Kind.digest) and all("cubes/position" in problem for problem in found.of(Kind.digest))
+    # by the byte at which its record begins, which other commands name, too
+    (named,) = re.findall(r"the chunk at byte (\d+)", found.of(Kind.chunk_crc)[0])
+    assert int(named) in places(path.read_bytes(), 6)
+    with pytest.raises(DamagedRecording, match=f"the chunk at byte {named} fails its CRC"):
+        np.asarray(open_recording(path).state("cubes", "position"))
 
 
 def test_many_files_are_not_held_open(tmp_path: Path) -> None:

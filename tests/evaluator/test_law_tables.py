@@ -178,6 +178,7 @@ def test_one_recording_has_one_gravity_and_the_friction_of_each_lane() -> None:
     assert recorded_together(balls) == [balls[:1], balls[1:]]
 
 
+@pytest.mark.slow
 def test_a_damped_pendulum_is_noticed_and_an_undamped_one_is_not(tmp_path: Path) -> None:
     """See the claimed damping in every recording of two repetitions, and break no law without it."""
     counts = trials(Setting("mujoco", "pendulum", 0.01, tmp_path), 2)["energy_change", "damping"]

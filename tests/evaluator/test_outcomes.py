@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.results.details import DistinctRuns, Throughput
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -59,6 +61,27 @@ def test_recordings_of_mjx_have_a_speed_for_each_outcome(found: Evaluation) -> N
     (group,) = [one for one in values_of(to_json(found))["groups"] if "speeds" in one["metrics"]["fps"]["extra"]]
     assert [one["runs"] for one in group["metrics"]["fps"]["extra"]["speeds"]["outcomes"]] == [3, 5, 2]
     assert said in " ".join(group["notes"])
+
+
+def test_the_slowest_outcome_is_ranked(found: Evaluation) -> None:
+    """Rank and show its range, and no mean that describes no run: between the outcomes, a simulator is second."""
+    (alone,) = fastest(found.results)
+    assert alone.first is not None and alone.first.fps == pytest.approx(776.2, abs=0.5)
+    (on_radar,) = [one.figures.fps for one in found.comparison.contenders if one.figures.fps]
+    assert on_radar == alone.first.fps
+    said = "776 to 789 env-steps/s in the slowest of 3 outcomes"
+    shown = io.StringIO()
+    print_document(brief(found), shown)
+    assert f": mjx, {said}" in " ".join(shown.getvalue().split())
+    page = text_in(render_html(found, published=False, command="c"))
+    assert f"mjx, {said} on NVIDIA H100" in page and "mjx: 776 to 789 16 envs the slowest of 3 outcomes" in page
+    (mjx,) = (result for result in found.results if result.group.key.simulator == "mjx")
+    key = replace(mjx.group.key, simulator="steady")
+    fps = replace(mjx.metrics["fps"], value=1000.0, details=Throughput())
+    steady = replace(mjx, group=replace(mjx.group, key=key), label="steady", metrics={**mjx.metrics, "fps": fps})
+    (pair,) = fastest([mjx, steady])
+    assert pair.first is not None and pair.second is not None
+    assert (pair.first.result.label, pair.second.result.label) == ("steady", "mjx")
 
 
 def text_in(page: str) -> str:

@@ -333,6 +333,7 @@ def test_mujoco(probed: Path) -> None:
     assert said["runs"]["found"]["level"] == "bit_identical"
 
 
+@pytest.mark.slow
 def test_recordings_are_enough(probed: Path, gsb_probe: Command) -> None:
     """Answer the same from the recordings alone; with --gate, the last question decides nothing."""
     again = gsb_probe(probed, "--json", "-", code=0)
@@ -343,6 +344,7 @@ def test_recordings_are_enough(probed: Path, gsb_probe: Command) -> None:
     assert "a snapshot of step 10, restored in another process" in " ".join(every.split())
 
 
+@pytest.mark.slow
 def test_nothing_is_recorded_twice(probed: Path, gsb_probe: Command) -> None:
     """Go on where a probe was interrupted: what lies in the folder is not made again."""
     before = sorted(probed.iterdir())

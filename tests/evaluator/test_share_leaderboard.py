@@ -72,6 +72,26 @@ def test_places_are_by_throughput_within_scene_and_device(runs: Path, tmp_path: 
     }  # fmt: skip
 
 
+def test_a_place_is_by_the_slowest_outcome(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Place runs whose throughput goes with their outcome by the slowest, though their mean is higher."""
+    for run in range(10):
+        slow = run % 2
+        final = grid(4) + 1e-3 * slow
+        write(runs, final, simulator="either", run=run, elapsed_s=1.0 + 2.0 * slow, name=f"either{run}.mcap")
+    write(runs, grid(4), simulator="steady", elapsed_s=2.0)
+    document = made(tmp_path, runs)
+    (section,) = document["sections"]
+    assert [(row["simulator"], row["place"]) for row in section["rows"]] == [("steady", 1), ("either", 2)]
+    steady, either = (row["throughput"]["value"] for row in section["rows"])
+    assert either > steady
+    speeds = [row["speeds"] for row in section["rows"]]
+    assert speeds[0] is None and speeds[1]["outcomes"][0]["low"] < steady
+    assert "by outcome: 5 runs at" in (tmp_path / "board" / "index.html").read_text()
+    capsys.readouterr()
+    made(tmp_path, *sorted(runs.glob("either*.mcap")))
+    assert "env-steps/s in the slowest of 2 outcomes" in capsys.readouterr().out
+
+
 def test_a_shared_gpu_is_marked(runs: Path, tmp_path: Path) -> None:
     """Say beside a throughput in which runs another process was on the GPU, and rank memory without them."""
     for run, baseline in enumerate((10**9, 3 * 10**9, 10**9)):

@@ -24,7 +24,7 @@ from tests.synthetic import grid, write_recording
 STEPS = 120
 
 
-@pytest.fixture(scope="module", params=["none", "zstd"])
+@pytest.fixture(scope="module", params=["none", pytest.param("zstd", marks=pytest.mark.slow)])
 def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of 130 environments, three columns of blocks, all positions telling their step."""
     return write_recording(

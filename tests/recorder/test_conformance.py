@@ -479,6 +479,7 @@ def test_a_defect_shows_in_a_recording(registered: Path, name: str, check: str, 
         CHECK[check](Subject.named(name))
 
 
+@pytest.mark.slow
 def test_a_third_partys_adapter_by_the_command(registered: Path) -> None:
     """Check an adapter that a distribution adds; one defect is one line."""
     done = conformance("--sim", "silent")
@@ -491,6 +492,7 @@ def _guide(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_the_guides_adapter_is_checked_as_shown(tmp_path: Path) -> None:
     """Find of the guide's adapter what the guide says, from pytest and in the words that it shows."""
     (adapter,) = _guide("python")

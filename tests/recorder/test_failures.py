@@ -44,9 +44,9 @@ def test_a_third_party_simulator_records(gsb_record: Command, plugin: dict[str, 
 @pytest.mark.parametrize(
     ("mode", "status", "reason"),
     [
-        ("build", "failed", "RuntimeError in phase init: no device of that name"),
+        pytest.param("build", "failed", "RuntimeError in phase init: no device of that name", marks=pytest.mark.slow),
         ("raise", "failed", "ValueError in phase capture: the solver gave up"),
-        ("memory", "failed", "out of host memory in phase capture"),
+        pytest.param("memory", "failed", "out of host memory in phase capture", marks=pytest.mark.slow),
         ("nan", "invalid", "a state is not finite: step 5, env 0, cubes/position of b"),
         ("gate", "invalid", "contacts were dropped"),
     ],
@@ -67,7 +67,13 @@ def test_a_run_that_fails_says_why(
         assert (recording.status, recording.reason) == (status, reason)
 
 
-@pytest.mark.parametrize(("mode", "how"), [("segfault", "was killed by SIGSEGV"), ("exit", "ended with exit code 7")])
+@pytest.mark.parametrize(
+    ("mode", "how"),
+    [
+        ("segfault", "was killed by SIGSEGV"),
+        pytest.param("exit", "ended with exit code 7", marks=pytest.mark.slow),
+    ],
+)
 def test_a_run_that_dies_is_incomplete(
     gsb_record: Command, plugin: dict[str, str], tmp_path: Path, mode: str, how: str
 ) -> None:
@@ -118,7 +124,9 @@ def test_a_run_ends_with_the_command_that_started_it(plugin: dict[str, str], tmp
     assert open_recording(file).status == "failed"
 
 
-@pytest.mark.parametrize("limit", [2_000, 60_000, 400_000, 1_500_000])
+@pytest.mark.parametrize(
+    "limit", [60_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (2_000, 400_000, 1_500_000))]
+)
 def test_a_full_disk(gsb_record: Command, tmp_path: Path, limit: int) -> None:
     """Say that writing stopped, end with 3, and leave no file that reads as complete."""
 
@@ -244,6 +252,7 @@ def test_the_last_words_of_a_process(gsb_record: Command, plugin: dict[str, str]
     assert done.stderr.strip().endswith("the last that it printed: printed while building")
 
 
+@pytest.mark.slow
 def test_nothing_is_left_of_a_run_that_died(gsb_record: Command, plugin: dict[str, str], tmp_path: Path) -> None:
     """Remove the scratch folder also of a process that was killed."""
     (tmp_path / "tmp").mkdir()

@@ -207,6 +207,7 @@ def test_a_forged_list(poisoned: tuple[Path, Path], tmp_path: Path, change: Call
         assert "Traceback" not in call(command, file).stderr
 
 
+@pytest.mark.slow
 def test_a_run_that_ends_early(tmp_path: Path) -> None:
     """Keep what failed until a run took too long."""
     long = (*_RUN, "--n-env", "2", "--steps", "1000000", "--timeout", "2")

@@ -178,6 +178,8 @@ def test_a_replay(recording: Path, tmp_path: Path) -> None:
     """Replay the model that a recording carries, bit for bit, where the user allows it and not otherwise."""
     done = call("gsb-record", "--replay", recording, "--out", tmp_path, code=ExitCode.USAGE)
     assert "add --allow-model" in done.stderr
+    refused = call("gsb-audit", recording, "--out", tmp_path / "audited")
+    assert " ".join((refused.stdout + refused.stderr).split()).count("add --allow-model") == 1
     call("gsb-record", "--replay", recording, "--allow-model", "--out", tmp_path, code=0)
     (again,) = tmp_path.glob("*.mcap")
     assert call("gsb-diff", recording, again).stdout.startswith("The two recordings are bit-identical")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -242,6 +243,17 @@ def test_run_to_run_makes_worlds_alike() -> None:
         assert (array == array[:, :1]).all()
 
 
+@pytest.fixture(scope="module")
+def put_back() -> Iterator[None]:
+    """Set the options of MuJoCo Warp's modules back after this file.
+
+    Newton sets them for the whole process when a solver steps; a test of MuJoCo Warp that comes next has them too.
+    """
+    yield
+    build(LANDING, "mujoco", n_env=1)[0].compile("timed")
+
+
+@pytest.mark.usefixtures("put_back")
 @pytest.mark.parametrize(
     ("solver", "determinism", "reason"),
     [("mujoco", "run-to-run", "dof_damping"), ("steel", "gpu-to-gpu", "SolverSteel supports")],

@@ -41,8 +41,8 @@ def _on_a_terminal(arguments: list[str], stdout: Path | None = None) -> tuple[in
     return process.wait(timeout=60), re.sub(rb"\x1b\[[0-9;?]*[a-zA-Z]", b"", screen).decode().replace("\r", "")
 
 
-def _record(out: Path) -> list[str]:
-    return [*command("gsb-record"), "--sim", "mujoco", "--n-env", "1", "--runs", "2", *SMALL, "--out", str(out)]
+def _record(out: Path, runs: int = 2) -> list[str]:
+    return [*command("gsb-record"), "--sim", "mujoco", "--n-env", "1", "--runs", str(runs), *SMALL, "--out", str(out)]
 
 
 def test_paths_go_into_the_file(tmp_path: Path) -> None:
@@ -58,13 +58,13 @@ def test_paths_go_into_the_file(tmp_path: Path) -> None:
 def test_paths_on_a_terminal_are_unbroken(tmp_path: Path) -> None:
     """Print a path that is longer than the terminal is wide, and holds what could be markup, as it is."""
     out = tmp_path / ("L" * 60) / "[red]x :smile: [bold]"
-    code, screen = _on_a_terminal(_record(out))
+    code, screen = _on_a_terminal(_record(out, runs=1))
     assert code == 0, screen
     for file in out.iterdir():
         assert f"{file}\n" in screen
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("unbuffered", ["", pytest.param("1", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("arguments", [("--list",), ("--list", "--json"), ("--sim", "mujoco", "--runs", "2", *SMALL)])
 def test_an_output_that_takes_nothing(tmp_path: Path, arguments: tuple[str, ...], unbuffered: str) -> None:
     """Say in one line that standard output takes no more, end with 1, and keep the recording."""
@@ -81,6 +81,7 @@ def test_an_output_that_takes_nothing(tmp_path: Path, arguments: tuple[str, ...]
         assert open_recording(file).status == "complete"
 
 
+@pytest.mark.slow
 def test_a_path_in_another_encoding(gsb_record: Command, tmp_path: Path) -> None:
     """Print the bytes of a path whatever the encoding of standard output, and whatever they are."""
     out = os.fsencode(tmp_path) + b"/\xc3\xbc \xff"

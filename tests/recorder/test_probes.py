@@ -66,11 +66,14 @@ def nvmlDeviceGetMemoryInfo(handle):
     ("how", "gpus", "note"),
     [
         ("nothing", 2, None),
-        ("count", 0, "NVML does not say how many GPUs there are: Driver/library version mismatch"),
-        ("handle", 1, "GPU 1 is left out, it does not answer: GPU is lost"),
+        pytest.param(
+            "count", 0, "NVML does not say how many GPUs there are: Driver/library version mismatch",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param("handle", 1, "GPU 1 is left out, it does not answer: GPU is lost", marks=pytest.mark.slow),
         ("memory", 2, "memory readings failed, the last one: gpu1: NVMLError: GPU is lost"),
     ],
-)
+)  # fmt: skip
 def test_a_driver_that_fails(gsb_record: Command, tmp_path: Path, how: str, gpus: int, note: str | None) -> None:
     """Complete the run, sample on what is left, and note what failed."""
     (tmp_path / "pynvml.py").write_text(_NVML)

@@ -93,7 +93,7 @@ def test_phases_in_order(small: Path) -> None:
     assert (host.used_bytes > 1e6).all()
 
 
-@pytest.mark.parametrize("scene", ["cube-toss", "franka"])
+@pytest.mark.parametrize("scene", ["cube-toss", pytest.param("franka", marks=pytest.mark.slow)])
 def test_short_windows_are_timed_again(gsb_record: Command, tmp_path: Path, scene: str) -> None:
     """Time the same steps again, from the same states and with the same actions, until they took a second."""
     arguments = ["--scene", scene, "--n-env", "2", "--runs", "1", "--phases", "timed", "--warmup", "10"]
@@ -286,6 +286,7 @@ def test_an_output_that_is_a_file(gsb_record: Command, tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_nothing_is_overwritten(gsb_record: Command, tmp_path: Path) -> None:
     """Find another name for a run that starts in the same second."""
     arguments = ("--sim", "mujoco", "--n-env", 1, "--runs", 1, "--steps", 1, "--phases", "capture", "--out", tmp_path)

@@ -172,7 +172,7 @@ exit $code
 """
 
 
-@pytest.mark.parametrize("size", [8, 64, 600, 1500])
+@pytest.mark.parametrize("size", [64, *(pytest.param(n, marks=pytest.mark.slow) for n in (8, 600)), 1500])
 def test_a_disk_that_is_really_full(tmp_path: Path, size: int) -> None:
     """End with 3 and one clear message where the device has no space, and leave what is there readable."""
     disk, kept = tmp_path / "disk", tmp_path / "kept"

@@ -52,7 +52,7 @@ def rest(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("mujoco", "--option", "solver=CG"),
+        pytest.param(("mujoco", "--option", "solver=CG"), marks=pytest.mark.slow),
         ("mujoco", "--scene", "franka"),
         pytest.param(("calibration",), marks=pytest.mark.slow),
         pytest.param(("warp", "--option", "device=cpu"), marks=pytest.mark.slow),
@@ -78,6 +78,7 @@ def test_the_rest_of_a_run(arguments: tuple[str, ...], tmp_path: Path) -> None:
     assert call("gsb-check", saved, continued).returncode == 0
 
 
+@pytest.mark.slow
 def test_snapshots_of_a_continued_run(whole: Path, rest: Path, tmp_path: Path) -> None:
     """Save again what is saved behind the beginning, and continue from there, too."""
     assert open_recording(rest).configuration.snapshots == (_MIDDLE,)
@@ -99,6 +100,7 @@ def test_steps_keep_their_numbers(whole: Path, rest: Path) -> None:
     assert recording.provenance.replay_of.changed == {"initial": "random:0.1"}
 
 
+@pytest.mark.slow
 def test_an_audit_of_a_continued_run(rest: Path, tmp_path: Path) -> None:
     """Run it again from the snapshot that it holds."""
     done = call("gsb-audit", rest, "--out", tmp_path, code=0)

@@ -398,13 +398,14 @@ def _limited(
     [
         ("memory", 4, 0, [(2, 0), (2, 1), (4, 0)], "N_env^max 2: failed at 4: out of host memory in phase init"),
         ("memory", 2, 1, [(2, 0)], "N_env^max none: failed at 2: out of host memory in phase init"),
-        (
+        pytest.param(
             "raise", 4, 0, [(2, 0), (2, 1), (4, 0), (4, 1)],
-            "N_env^max 2: failed at 4: RuntimeError in phase init: too many",
+            "N_env^max 2: failed at 4: RuntimeError in phase init: too many", marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             "once", 4, 1, [(2, 0), (2, 1), (4, 0), (4, 1), (8, 0), (8, 1)],
             "runs failed below the last point: 1 of 2 at 4 envs\nN_env^max 8: 8 is the end of the sweep",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             "once", 8, 0, [(2, 0), (2, 1), (4, 0), (4, 1), (8, 0), (8, 1)],

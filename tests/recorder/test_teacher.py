@@ -73,6 +73,7 @@ def test_a_toss_that_ended_is_left_alone() -> None:
             assert jumped == (step < count), (env, step)
 
 
+@pytest.mark.slow
 def test_substeps_and_stride(gsb_record: Command, tmp_path: Path) -> None:
     """Count in steps: ten rows are forty steps of a quarter of a row; the predictions are recorded at any stride."""
     shared = ("--sim", "mujoco", "--dt", str(1 / 148 / 4), "--steps", "120", "--intervene", "teacher@40")

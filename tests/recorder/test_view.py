@@ -137,8 +137,8 @@ def test_the_layout_ships(plain: Path) -> None:
     "arguments",
     [
         ("--view-env", 3, "--view-env", 1),
-        ("--stride", 3),
-        ("--capture", "memory", "--compression", "zstd"),
+        pytest.param(("--stride", 3), marks=pytest.mark.slow),
+        pytest.param(("--capture", "memory", "--compression", "zstd"), marks=pytest.mark.slow),
         ("--scene", "franka", "--compression", "lz4"),
     ],
     ids=str,

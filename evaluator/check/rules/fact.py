@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -39,13 +40,19 @@ class NotThere(Exception):
 class Fact:
     """Something that is true of one file.
 
-    meaning  one sentence; of numbers with their unit
+    meaning  one sentence; of numbers with their unit in brackets at its end
     read     raises NotThere, or an error of the file, where it cannot be told
     """
 
     type: FactType
     meaning: str
     read: Callable[[Integrity], Any]
+
+    @property
+    def unit(self) -> str:
+        """Of a number, as its meaning has it; empty where it has none."""
+        found = re.search(r"\[([^\]]+)\]$", self.meaning)
+        return found[1] if found and self.type is FactType.number else ""
 
 
 def recording_of(file: Integrity) -> Recording:

@@ -8,7 +8,7 @@ from typing import Any
 
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.rules.fact import Unknown
-from gpusimbench.evaluator.check.rules.facts import applies, fact_of, point_of
+from gpusimbench.evaluator.check.rules.facts import FACTS, applies, fact_of, point_of
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import Level, Rule, RuleSet, Scope
 from gpusimbench.schemas.errors import ExitCode
@@ -117,7 +117,9 @@ def _ask(rule: Rule, file: Integrity) -> tuple[str | Unknown, ...] | None:
     if isinstance(value, Unknown):
         return (value,)
     try:
-        return FILE_PREDICATES[rule.predicate].found(value, rule.argument, lambda name: _known(fact_of(name, file)))
+        found = FILE_PREDICATES[rule.predicate].found(value, rule.argument, lambda name: _known(fact_of(name, file)))
+        unit = FACTS[rule.fact].unit
+        return tuple(f"{said} {unit}" for said in found) if unit else found
     except _NotKnown as error:
         return (Unknown(str(error)),)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import known
-from gpusimbench.evaluator.render.cells import estimate
+from gpusimbench.evaluator.render.cells import estimate, ranked
 from gpusimbench.evaluator.render.document import (
     Beside,
     Block,
@@ -194,9 +194,8 @@ def _where(found: Fastest) -> Cell:
 def _named(speed: Speed | None) -> Cell:
     if speed is None:
         return Cell("none", tone=Tone.QUIET)
-    fps = estimate(speed.result.metrics[FPS.name])
-    key = speed.result.group.key
-    return Cell(f"{key.simulator}: {fps.text}", notes=(f"{key.n_env:,} envs",))
+    fps, key = ranked(speed.result.metrics[FPS.name]), speed.result.group.key
+    return Cell(f"{key.simulator}: {fps.text}", notes=(f"{key.n_env:,} envs", *fps.notes))
 
 
 def _barred(found: Fastest, results: Sequence[GroupResult]) -> Cell:

@@ -127,6 +127,5 @@ def _summary(results: list[GroupResult]) -> str:
     if not found:
         return "mean ± SD of each group"
     return "fastest in " + "; ".join(
-        f"{one.scene}: {one.result.group.key.simulator}, {one.fps:,.0f} {FPS.unit} on {one.result.group.key.device}"
-        for one in found
+        f"{one.scene}: {one.result.group.key.simulator}, {one.said} on {one.result.group.key.device}" for one in found
     )

@@ -163,7 +163,7 @@ def _fastest_at_equal_accuracy(source: Source, scenes: Collection[str]) -> str:
     for one in fastest(source.evaluation.results):
         if one.first and one.scene in scenes:
             device = one.device or "an unnamed device"
-            said.append(f"{one.first.result.label}, {one.first.fps:,.0f} {FPS.unit} on {device}")
+            said.append(f"{one.first.result.label}, {one.first.said} on {device}")
     return f"Fastest at equal accuracy: {'; '.join(said)}." if said else ""
 
 

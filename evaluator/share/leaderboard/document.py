@@ -76,6 +76,7 @@ def _row(row: Row) -> dict[str, Any]:
         "runs": row.result.group.outcomes,
         "throughput": _metric(row.fps),
         "co_tenants": row.fps.of(Throughput).co_tenants,
+        "speeds": row.fps.of(Throughput).speeds,
         "timed": timed.timed_record(row.result.timed),
         "memory": _metric(row.memory),
         "n_env_max": row.sweep.n_max if row.sweep else None,

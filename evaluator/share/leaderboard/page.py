@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.render.cells import estimate, missing
+from gpusimbench.evaluator.render.cells import estimate, missing, ranked
 from gpusimbench.evaluator.render.document import (
     EMPTY,
     Block,
@@ -27,6 +27,7 @@ from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.verdicts import QUESTIONS
 from gpusimbench.evaluator.report.words import amount, shared, shortened
 from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.share.leaderboard import words
 from gpusimbench.evaluator.share.leaderboard.standing import ELSEWHERE, Board, Section
@@ -89,10 +90,10 @@ def _nobody(section: Section) -> Cell:
 def _leader(row: Standing | None) -> Cell:
     if row is None:
         return Cell("no other row has a place", tone=Tone.QUIET)
-    speed = estimate(row.fps)
+    speed = ranked(row.fps)
     name = (row.name,) if row.name != row.key.simulator else ()
     told = f"{row.key.n_env:,} envs, {row.key.version or 'no version'}, determinism {row.key.determinism}"
-    return Cell(f"{row.key.simulator}: {speed.text}", range=speed.range, notes=(*name, told))
+    return Cell(f"{row.key.simulator}: {speed.text}", range=speed.range, notes=(*name, told, *speed.notes))
 
 
 def _barred(section: Section) -> Cell:
@@ -230,6 +231,8 @@ def _speed(row: Standing) -> Cell:
     beside = [plural(len(row.result.group.complete), "run"), *timed.beside(row.result.timed)[:1]]
     if others := shared(row.fps):
         beside.append(f"another process on the GPU: {others}")
+    if speeds := row.fps.of(Throughput).speeds:
+        beside.append(f"by outcome: {speeds.ranges}")
     return estimate(row.fps, *beside, tone=Tone.WARNING if others else Tone.PLAIN)
 
 
@@ -262,7 +265,7 @@ def _explained() -> Iterator[str]:
         "A place is by throughput within one scene, one step, one device and the same timed steps of the scene: at "
         "other steps the scene has other contacts. A timed phase below 1 s is marked. Cone, iterations and tolerance "
         "of the solver stand in the table of how each row was run: with others a step is another amount of work. Two "
-        "devices are not compared."
+        "devices are not compared. If throughput goes with the outcome of a run, the place is that of the slowest run."
     )
     yield (
         "A row is a set of runs of one simulator, version, switches, options, device and number of environments. A "

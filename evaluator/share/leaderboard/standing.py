@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.results.cost_metrics import common_memory
+from gpusimbench.evaluator.results.cost_metrics import common_memory, ranked_throughput
 from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults, faults_anywhere
@@ -243,15 +243,15 @@ def _placed(rows: Sequence[Row]) -> tuple[Row, ...]:
     for row in sorted(able, key=_speed):
         best.setdefault(sweep_key(row.key), row)
     ordered = list(best.values())
-    speeds = [row.fps.value for row in ordered]
-    placed = [replace(row, place=speeds.index(row.fps.value) + 1) for row in ordered]
+    speeds = [ranked_throughput(row.fps) for row in ordered]
+    placed = [replace(row, place=speeds.index(speed) + 1) for row, speed in zip(ordered, speeds, strict=True)]
     chosen = {row.result.label for row in ordered}
     others = [row for row in rows if row.result.label not in chosen]
     return (*placed, *(row for row in others if not row.no_place), *(row for row in others if row.no_place))
 
 
 def _speed(row: Row) -> tuple[float, int, str]:
-    return -(known(row.fps.value) or 0.0), row.key.n_env, row.result.label
+    return -ranked_throughput(row.fps), row.key.n_env, row.result.label
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from functools import cache
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
-from gpusimbench.evaluator.render import numbers
+from gpusimbench.evaluator.render.cells import ranked
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report import words as report_words
@@ -30,9 +30,11 @@ def leaderboard_lines(board: Board) -> Iterator[str]:
             where += f", {section.timed}"
         if section.ranked:
             first = section.ranked[0]
+            fps = ranked(first.fps)
+            speed = " in ".join((f"{fps.text} env-steps/s", *fps.notes))
             yield (
                 f"{where}: 1. {first.name} {first.key.version} with {first.key.n_env:,} envs, "
-                f"{numbers.mean_sd(first.fps)} env-steps/s ({'; '.join(timed.beside(first.result.timed))}); "
+                f"{speed} ({'; '.join(timed.beside(first.result.timed))}); "
                 f"{len(section.ranked)} ranked, {len(section.unranked)} not"
             )
         else:
