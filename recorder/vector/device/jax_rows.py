@@ -2,22 +2,50 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from functools import cache
-from typing import Any
+from itertools import accumulate
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.device.rows import Arrays, Columns, Rows
 
+_WORD = 4  # bytes
+_ALIGNED = (
+    8  # bytes of which an array's words are a multiple, so that numbers of 64 bits lie where a CPU reads them best
+)
+
+
+class _Place(NamedTuple):
+    """Where the words of an array lie in a row, and what they are."""
+
+    begin: int
+    end: int
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+
+    def of(self, block: NDArray[np.uint32]) -> NDArray[Any]:
+        """The array of all rows of a block [row, word]; nothing is copied."""
+        numbers = block[:, self.begin : self.end].view(self.dtype)[:, : math.prod(self.shape)]
+        return numbers.reshape(len(block), *self.shape)
+
 
 class JaxRows(Rows):
-    """A block that a compiled function writes into, in place; a full block is handed over, and a new one made."""
+    """One array of words [row, word] that a compiled function writes into, in place.
+
+    Each array of a row is some of its words, bit for bit: so a GPU starts few kernels for a row, and makes one copy of
+    a block. A full block is handed over, and a new one made.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self._block: dict[str, Any] = {}
-        self._places: list[Any] = []  # numbers of rows, on the device: none is sent there in a step
+        self._block: Any = None
+        self._places: dict[str, _Place] = {}
+        self._begins: tuple[int, ...] = ()
+        self._numbers: list[Any] = []  # of rows, on the device: none is sent there in a step
 
     @staticmethod
     def described(array: Any) -> tuple[np.dtype[Any], tuple[int, ...]]:
@@ -26,48 +54,98 @@ class JaxRows(Rows):
         return (np.dtype(np.float32) if dtype.kind == "V" else dtype), tuple(array.shape)
 
     def _put(self, row: Arrays, at: int) -> None:
-        if missing := [name for name in row if name not in self._block]:
-            self._block |= _zeros()({name: row[name] for name in missing}, self._most)
-            self._places = self._places or _numbers(self._most)
-        part = {name: self._block[name] for name in row}
-        self._block |= _write()(part, dict(row), self._places[at])
+        if not self._places:
+            self._places, self._numbers = _places(row), _numbers(self._most)
+            self._begins = tuple(place.begin for place in self._places.values())
+        names: Iterable[str] = self._places
+        begins = self._begins
+        if len(row) < len(begins):
+            names = [name for name in self._places if name in row]
+            begins = tuple(self._places[name].begin for name in names)
+        arrays = tuple([row[name] for name in names])
+        if self._block is None:
+            words = max(place.end for place in self._places.values())
+            self._block = _zeros()(arrays[0], self._most, words)
+        self._block = _write()(self._block, self._numbers[at], arrays, begins)
 
     def last(self, names: Iterable[str]) -> Callable[[], Columns]:
         """See Rows.last."""
-        row = {name: self._block[name][self.filled - 1] for name in names}
-        return lambda: {name: np.asarray(array) for name, array in row.items()}
+        row, places = self._block[self.filled - 1], {name: self._places[name] for name in names}
+        return lambda: {name: place.of(np.asarray(row)[None])[0] for name, place in places.items()}
 
     def _take(self, filled: int) -> Callable[[], Columns]:
-        block, self._block = self._block, {}
-        for array in block.values():
-            array.copy_to_host_async()
-        return lambda: {name: np.asarray(array)[:filled] for name, array in block.items()}
+        block, self._block = self._block, None
+        block.copy_to_host_async()
+
+        def arrived() -> Columns:
+            words = np.asarray(block)[:filled]
+            return {name: place.of(words) for name, place in self._places.items()}
+
+        return arrived
 
 
-@cache
-def _write() -> Callable[..., dict[str, Any]]:
+def _places(row: Arrays) -> dict[str, _Place]:
+    """One array behind the other, as JAX has them, which may be in fewer bits than numpy."""
     import jax
 
-    def write(block: dict[str, Any], row: dict[str, Any], at: Any) -> dict[str, Any]:
-        return {
-            name: jax.lax.dynamic_update_index_in_dim(block[name], row[name].astype(block[name].dtype), at, 0)
-            for name in block
-        }
-
-    compiled: Callable[..., dict[str, Any]] = jax.jit(write, donate_argnums=0)
-    return compiled
+    found = {name: JaxRows.described(array) for name, array in jax.eval_shape(lambda row: row, dict(row)).items()}
+    ends = list(
+        accumulate(
+            -(-dtype.itemsize * math.prod(shape) // _ALIGNED) * (_ALIGNED // _WORD) for dtype, shape in found.values()
+        )
+    )
+    begins = [0, *ends]
+    return {
+        name: _Place(begin, end, *described)
+        for (name, described), begin, end in zip(found.items(), begins, ends, strict=False)
+    }
 
 
 @cache
-def _zeros() -> Callable[..., dict[str, Any]]:
+def _write() -> Callable[..., Any]:
     import jax
     import jax.numpy as jnp
 
-    def zeros(row: dict[str, Any], rows: int) -> dict[str, Any]:
-        described = {name: JaxRows.described(array) for name, array in row.items()}
-        return {name: jnp.zeros((rows, *shape), dtype) for name, (dtype, shape) in described.items()}
+    def write(block: Any, at: Any, arrays: tuple[Any, ...], begins: tuple[int, ...]) -> Any:
+        runs: list[tuple[int, list[Any]]] = []  # of arrays that lie one behind the other: each is one update
+        end = -1
+        for begin, array in zip(begins, arrays, strict=True):
+            words = _words(array)
+            if begin != end:
+                runs.append((begin, []))
+            runs[-1][1].append(words)
+            end = begin + words.size
+        for begin, parts in runs:
+            block = jax.lax.dynamic_update_slice(block, jnp.concatenate(parts)[None], (at, begin))
+        return block
 
-    compiled: Callable[..., dict[str, Any]] = jax.jit(zeros, static_argnums=1)
+    compiled: Callable[..., Any] = jax.jit(write, donate_argnums=0, static_argnums=3)
+    return compiled
+
+
+def _words(array: Any) -> Any:
+    """The bits of an array, with zeros behind them up to what _ALIGNED says."""
+    import jax
+    import jax.numpy as jnp
+
+    dtype, _ = JaxRows.described(array)
+    numbers = array.astype(np.uint8 if dtype.kind == "b" else dtype).reshape(-1)
+    numbers = jnp.pad(numbers, (0, -numbers.size % (_ALIGNED // dtype.itemsize)))
+    if dtype.itemsize < _WORD:
+        numbers = numbers.reshape(-1, _WORD // dtype.itemsize)
+    return jax.lax.bitcast_convert_type(numbers, jnp.uint32).reshape(-1)
+
+
+@cache
+def _zeros() -> Callable[..., Any]:
+    import jax
+    import jax.numpy as jnp
+
+    def zeros(_: Any, rows: int, words: int) -> Any:
+        return jnp.zeros((rows, words), jnp.uint32)
+
+    # the array says on which device
+    compiled: Callable[..., Any] = jax.jit(zeros, static_argnums=(1, 2), keep_unused=True)
     return compiled
 
 
