@@ -44,7 +44,6 @@ class JaxRows(Rows):
         super().__init__()
         self._block: Any = None
         self._places: dict[str, _Place] = {}
-        self._begins: tuple[int, ...] = ()
         self._numbers: list[Any] = []  # of rows, on the device: none is sent there in a step
 
     @staticmethod
@@ -56,17 +55,13 @@ class JaxRows(Rows):
     def _put(self, row: Arrays, at: int) -> None:
         if not self._places:
             self._places, self._numbers = _places(row), _numbers(self._most)
-            self._begins = tuple(place.begin for place in self._places.values())
-        names: Iterable[str] = self._places
-        begins = self._begins
-        if len(row) < len(begins):
-            names = [name for name in self._places if name in row]
-            begins = tuple(self._places[name].begin for name in names)
+        names = [name for name in self._places if name in row]
         arrays = tuple([row[name] for name in names])
         if self._block is None:
             words = max(place.end for place in self._places.values())
             self._block = _zeros()(arrays[0], self._most, words)
-        self._block = _write()(self._block, self._numbers[at], arrays, begins)
+        write = _write(tuple([self._places[name].begin for name in names]))
+        self._block = write(self._block, self._numbers[at], arrays)
 
     def last(self, names: Iterable[str]) -> Callable[[], Columns]:
         """See Rows.last."""
@@ -102,11 +97,12 @@ def _places(row: Arrays) -> dict[str, _Place]:
 
 
 @cache
-def _write() -> Callable[..., Any]:
+def _write(begins: tuple[int, ...]) -> Callable[..., Any]:
+    """A function that puts arrays into a row of a block, in its memory; their words begin there."""
     import jax
     import jax.numpy as jnp
 
-    def write(block: Any, at: Any, arrays: tuple[Any, ...], begins: tuple[int, ...]) -> Any:
+    def write(block: Any, at: Any, arrays: tuple[Any, ...]) -> Any:
         runs: list[tuple[int, list[Any]]] = []  # of arrays that lie one behind the other: each is one update
         end = -1
         for begin, array in zip(begins, arrays, strict=True):
@@ -116,10 +112,10 @@ def _write() -> Callable[..., Any]:
             runs[-1][1].append(words)
             end = begin + words.size
         for begin, parts in runs:
-            block = jax.lax.dynamic_update_slice(block, jnp.concatenate(parts)[None], (at, begin))
+            block = jax.lax.dynamic_update_slice(block, jnp.concatenate(parts)[None], (at, np.uint32(begin)))
         return block
 
-    compiled: Callable[..., Any] = jax.jit(write, donate_argnums=0, static_argnums=3)
+    compiled: Callable[..., Any] = jax.jit(write, donate_argnums=0)
     return compiled
 
 
@@ -152,4 +148,5 @@ def _zeros() -> Callable[..., Any]:
 def _numbers(rows: int) -> list[Any]:
     import jax.numpy as jnp
 
-    return [jnp.asarray(at) for at in range(rows)]
+    # without a sign, which a kernel would look at in each step
+    return [jnp.asarray(at, jnp.uint32) for at in range(rows)]
