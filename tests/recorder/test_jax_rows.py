@@ -11,7 +11,7 @@ from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 
 jax = pytest.importorskip("jax")
 
-N_ENV = 3  # so that arrays of bytes fill no word
+N_ENV = 3  # so that numbers of 8 and 16 bits fill no word
 ARRAYS: dict[str, tuple[str, tuple[int, ...]]] = {
     "observation/image": ("uint8", (5, 2, 3)),
     "observation/half": ("float16", (3,)),

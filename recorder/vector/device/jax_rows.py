@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
-from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,36 +12,36 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.device.rows import Arrays, Columns, Rows
 
-_WORD = 4  # bytes
-_ALIGNED = (
-    8  # bytes of which an array's words are a multiple, so that numbers of 64 bits lie where a CPU reads them best
-)
+_LARGE = 1 << 20  # bytes of an array that is written alone: joining it to others would cost more than starting a kernel
 
 
 class _Place(NamedTuple):
-    """Where the words of an array lie in a row, and what they are."""
+    """Where the numbers of an array lie in a row of the block of their dtype."""
 
+    dtype: str
     begin: int
-    end: int
-    dtype: np.dtype[Any]
     shape: tuple[int, ...]
 
-    def of(self, block: NDArray[np.uint32]) -> NDArray[Any]:
-        """The array of all rows of a block [row, word]; nothing is copied."""
-        numbers = block[:, self.begin : self.end].view(self.dtype)[:, : math.prod(self.shape)]
-        return numbers.reshape(len(block), *self.shape)
+    @property
+    def end(self) -> int:
+        return self.begin + math.prod(self.shape)
+
+    def of(self, blocks: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+        """The array of all rows; nothing is copied."""
+        block = blocks[self.dtype]
+        return block[:, self.begin : self.end].reshape(len(block), *self.shape)
 
 
 class JaxRows(Rows):
-    """One array of words [row, word] that a compiled function writes into, in place.
+    """For each dtype an array [row, number] that a compiled function writes into, in place.
 
-    Each array of a row is some of its words, bit for bit: so a GPU starts few kernels for a row, and makes one copy of
-    a block. A full block is handed over, and a new one made.
+    The arrays of one dtype lie in it side by side: a GPU starts a kernel for each dtype, and not for each array. Full
+    blocks are handed over, and new ones made.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self._block: Any = None
+        self._blocks: dict[str, Any] = {}
         self._places: dict[str, _Place] = {}
         self._numbers: list[Any] = []  # of rows, on the device: none is sent there in a step
 
@@ -56,92 +55,94 @@ class JaxRows(Rows):
         if not self._places:
             self._places, self._numbers = _places(row), _numbers(self._most)
         names = [name for name in self._places if name in row]
+        places = tuple([self._places[name] for name in names])
         arrays = tuple([row[name] for name in names])
-        if self._block is None:
-            words = max(place.end for place in self._places.values())
-            self._block = _zeros()(arrays[0], self._most, words)
-        write = _write(tuple([self._places[name].begin for name in names]))
-        self._block = write(self._block, self._numbers[at], arrays)
+        if not self._blocks:
+            self._blocks = _zeros()(arrays, places, self._most)
+        self._blocks |= _write(places)(
+            {place.dtype: self._blocks[place.dtype] for place in places}, self._numbers[at], arrays
+        )
 
     def last(self, names: Iterable[str]) -> Callable[[], Columns]:
         """See Rows.last."""
-        row, places = self._block[self.filled - 1], {name: self._places[name] for name in names}
-        return lambda: {name: place.of(np.asarray(row)[None])[0] for name, place in places.items()}
-
-    def _take(self, filled: int) -> Callable[[], Columns]:
-        block, self._block = self._block, None
-        block.copy_to_host_async()
+        places = {name: self._places[name] for name in names}
+        row = {place.dtype: self._blocks[place.dtype][self.filled - 1] for place in places.values()}
 
         def arrived() -> Columns:
-            words = np.asarray(block)[:filled]
-            return {name: place.of(words) for name, place in self._places.items()}
+            blocks = {dtype: np.asarray(array)[None] for dtype, array in row.items()}
+            return {name: place.of(blocks)[0] for name, place in places.items()}
+
+        return arrived
+
+    def _take(self, filled: int) -> Callable[[], Columns]:
+        blocks, self._blocks = self._blocks, {}
+        for block in blocks.values():
+            block.copy_to_host_async()
+
+        def arrived() -> Columns:
+            rows = {dtype: np.asarray(block)[:filled] for dtype, block in blocks.items()}
+            return {name: place.of(rows) for name, place in self._places.items()}
 
         return arrived
 
 
 def _places(row: Arrays) -> dict[str, _Place]:
-    """One array behind the other, as JAX has them, which may be in fewer bits than numpy."""
+    """Of the arrays as JAX has them, which may be in fewer bits than numpy."""
     import jax
 
-    found = {name: JaxRows.described(array) for name, array in jax.eval_shape(lambda row: row, dict(row)).items()}
-    ends = list(
-        accumulate(
-            -(-dtype.itemsize * math.prod(shape) // _ALIGNED) * (_ALIGNED // _WORD) for dtype, shape in found.values()
-        )
-    )
-    begins = [0, *ends]
-    return {
-        name: _Place(begin, end, *described)
-        for (name, described), begin, end in zip(found.items(), begins, ends, strict=False)
-    }
+    found: dict[str, _Place] = {}
+    ends: dict[str, int] = {}
+    for name, array in jax.eval_shape(lambda row: row, dict(row)).items():
+        dtype, shape = JaxRows.described(array)
+        found[name] = _Place(dtype.name, ends.get(dtype.name, 0), shape)
+        ends[dtype.name] = found[name].end
+    return found
 
 
 @cache
-def _write(begins: tuple[int, ...]) -> Callable[..., Any]:
-    """A function that puts arrays into a row of a block, in its memory; their words begin there."""
+def _write(places: tuple[_Place, ...]) -> Callable[..., dict[str, Any]]:
+    """A function that puts arrays into their places in a row of blocks, in the memory of these."""
     import jax
     import jax.numpy as jnp
 
-    def write(block: Any, at: Any, arrays: tuple[Any, ...]) -> Any:
-        runs: list[tuple[int, list[Any]]] = []  # of arrays that lie one behind the other: each is one update
-        end = -1
-        for begin, array in zip(begins, arrays, strict=True):
-            words = _words(array)
-            if begin != end:
-                runs.append((begin, []))
-            runs[-1][1].append(words)
-            end = begin + words.size
-        for begin, parts in runs:
-            block = jax.lax.dynamic_update_slice(block, jnp.concatenate(parts)[None], (at, np.uint32(begin)))
-        return block
+    def write(blocks: dict[str, Any], at: Any, arrays: tuple[Any, ...]) -> dict[str, Any]:
+        blocks = dict(blocks)
+        for begin, dtype, parts in _runs(places, arrays):
+            numbers = jnp.concatenate(parts)[None]
+            blocks[dtype] = jax.lax.dynamic_update_slice(blocks[dtype], numbers, (at, np.uint32(begin)))
+        return blocks
 
-    compiled: Callable[..., Any] = jax.jit(write, donate_argnums=0)
+    compiled: Callable[..., dict[str, Any]] = jax.jit(write, donate_argnums=0)
     return compiled
 
 
-def _words(array: Any) -> Any:
-    """The bits of an array, with zeros behind them up to what _ALIGNED says."""
-    import jax
-    import jax.numpy as jnp
-
-    dtype, _ = JaxRows.described(array)
-    numbers = array.astype(np.uint8 if dtype.kind == "b" else dtype).reshape(-1)
-    numbers = jnp.pad(numbers, (0, -numbers.size % (_ALIGNED // dtype.itemsize)))
-    if dtype.itemsize < _WORD:
-        numbers = numbers.reshape(-1, _WORD // dtype.itemsize)
-    return jax.lax.bitcast_convert_type(numbers, jnp.uint32).reshape(-1)
+def _runs(places: Iterable[_Place], arrays: Iterable[Any]) -> list[tuple[int, str, list[Any]]]:
+    """Where numbers begin, their dtype, and arrays [number] that lie one behind the other from there on."""
+    found: list[tuple[int, str, list[Any]]] = []
+    last: dict[str, tuple[int, list[Any]]] = {}  # where the last run of a dtype ends, if another array may follow
+    for place, array in zip(places, arrays, strict=True):
+        numbers = array.astype(place.dtype).reshape(-1)
+        end, parts = last.get(place.dtype, (-1, []))
+        large = numbers.nbytes > _LARGE
+        if end != place.begin or large:
+            parts = []
+            found.append((place.begin, place.dtype, parts))
+        parts.append(numbers)
+        last[place.dtype] = (-1 if large else place.end, parts)
+    return found
 
 
 @cache
-def _zeros() -> Callable[..., Any]:
+def _zeros() -> Callable[..., dict[str, Any]]:
     import jax
     import jax.numpy as jnp
 
-    def zeros(_: Any, rows: int, words: int) -> Any:
-        return jnp.zeros((rows, words), jnp.uint32)
+    def zeros(_: Any, places: tuple[_Place, ...], rows: int) -> dict[str, Any]:
+        widths = {place.dtype: place.end for place in places}  # the last one ends the row
+        return {dtype: jnp.zeros((rows, width), dtype) for dtype, width in widths.items()}
 
-    # the array says on which device
-    compiled: Callable[..., Any] = jax.jit(zeros, static_argnums=(1, 2), keep_unused=True)
+    # the arrays say on which device
+    compiled: Callable[..., dict[str, Any]] = jax.jit(zeros, static_argnums=(1, 2), keep_unused=True)
     return compiled
 
 
