@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.device.rows import Arrays, Columns, Rows
 
-_LARGE = 1 << 20  # bytes of an array that is written alone: joining it to others would cost more than starting a kernel
+_LARGE = 128 << 10  # bytes of an array that is written alone: joining it costs a CPU more than another kernel
 
 
 class _Place(NamedTuple):
