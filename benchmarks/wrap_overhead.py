@@ -24,7 +24,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,12 +49,25 @@ def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Times, Any]:
     return np.array([time.perf_counter() - begin, time.process_time() - worked]), returned
 
 
-def one_round(task: str, n_env: int, steps: int, path: Path, seed: int) -> tuple[list[Times], float]:
-    """Times of the bare and of the wrapped vector, without the first step; how much longer that of the wrapped was."""
+class Round(NamedTuple):
+    """Of the bare and of the wrapped environments: seconds of steps but the first and of closing, and of CPUs.
+
+    beginning  how much longer the first step of the wrapped environments took [s]
+    closing    of the wrapped environments [s]
+    """
+
+    bare: Times
+    wrapped: Times
+    beginning: float
+    closing: float
+
+
+def one_round(task: str, n_env: int, steps: int, path: Path, seed: int) -> Round:
+    """Steps of the bare and of the wrapped vector in turn."""
     import gymnasium
 
     pair = [gymnasium.make_vec(task, num_envs=n_env, vectorization_mode="sync") for _ in range(2)]
-    pair[1] = wrap(pair[1], path, steps=steps)
+    pair[1] = wrap(pair[1], path)  # no number of steps, so that close ends the recording
     for envs in pair:
         envs.reset(seed=seed)
     pair[0].action_space.seed(seed)
@@ -69,32 +82,33 @@ def one_round(task: str, n_env: int, steps: int, path: Path, seed: int) -> tuple
                 spent[which] += took
             else:
                 firsts[which] = took[0]
+    closing = [timed(envs.close)[0] for envs in pair]
     for which in (0, 1):
-        spent[which] += timed(pair[which].close)[0]
+        spent[which] += closing[which]
     assert np.array_equal(*last)
     assert open_recording(path).status == "complete"
-    return spent, firsts[1] - firsts[0]
+    return Round(*spent, beginning=firsts[1] - firsts[0], closing=float(closing[1][0]))
 
 
-def functional_round(
-    task: Any, n_env: int, steps: int, path: Path, seed: int, *, physics: bool
-) -> tuple[list[Times], float]:
+def functional_round(task: Any, n_env: int, steps: int, path: Path, seed: int, *, physics: bool) -> Round:
     """The same of a functional task."""
     import jax
 
-    wrapped = wrap(task, path, steps=steps, physics=physics)
+    wrapped = wrap(task, path, physics=physics)
     shape = (steps, n_env, task.action_size)
     actions = list(jax.random.uniform(jax.random.PRNGKey(seed), shape, minval=-1, maxval=1))
     keys = jax.random.split(jax.random.PRNGKey(seed + 1), n_env)
     spent, firsts = [np.zeros(2), np.zeros(2)], [0.0, 0.0]
     last: list[Any] = [None, None]
+    closing = 0.0
 
     def run(env: Any, state: Any) -> Any:
+        nonlocal closing
         for action in actions[1:]:
             state = env.step(state, action)
         jax.block_until_ready(state)
         if env is wrapped:
-            env.close()
+            closing = timed(env.close)[0][0]
         return state.obs
 
     for which in (0, 1) if seed % 2 else (1, 0):
@@ -107,7 +121,7 @@ def functional_round(
         again = run(task, task.step(task.reset(keys), actions[0]))
         assert not np.array_equal(last[0], again), "the wrapped environment ends elsewhere, where the bare one does not"
     assert open_recording(path).status == "complete"
-    return spent, firsts[1] - firsts[0]
+    return Round(*spent, beginning=firsts[1] - firsts[0], closing=closing)
 
 
 def main() -> None:
@@ -125,24 +139,25 @@ def main() -> None:
         from benchmarks.functional_tasks import task
 
         measure, where = partial(functional_round, task(a.kind, name), physics=a.physics), jax.devices()[0].device_kind
-    found, began, sizes = [], [], []
+    found, sizes = [], []
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)  # where MuJoCo logs that a task's model is old
         for number in range(-1 if functional else 0, a.rounds):
             path = Path(f"{number}.mcap")
-            spent, beginning = measure(a.n_env, a.steps, path, number + 1)
+            measured = measure(a.n_env, a.steps, path, number + 1)
             if number < 0:  # functions were compiled
                 continue
-            found.append(spent)
-            began.append(beginning)
+            found.append(measured)
             sizes.append(path.stat().st_size / 1e6)
         os.chdir("/")
     print(f"machine           {machine()}{f'; {where}' if where else ''}")
     print(f"steps             {a.kind} {name}, {a.n_env} envs, {a.steps} steps, {a.rounds} rounds")
-    print(f"bare [ms / step]  {spread([bare[0] / (a.steps - 1) * 1e3 for bare, _ in found])}")
-    print(f"wrapped / bare    {spread([wrapped[0] / bare[0] for bare, wrapped in found])}")
-    print(f"of CPU time       {spread([wrapped[1] / bare[1] for bare, wrapped in found])}")
-    print(f"beginning [s]     {spread(began)}")
+    print(f"bare [ms / step]  {spread([one.bare[0] / (a.steps - 1) * 1e3 for one in found])}")
+    print(f"wrapped / bare    {spread([one.wrapped[0] / one.bare[0] for one in found])}")
+    print(f"of CPU time       {spread([one.wrapped[1] / one.bare[1] for one in found])}")
+    print(f"without closing   {spread([(one.wrapped[0] - one.closing) / one.bare[0] for one in found])}")
+    print(f"closing [s]       {spread([one.closing for one in found])}")
+    print(f"beginning [s]     {spread([one.beginning for one in found])}")
     print(f"recording [MB]    {spread(sizes, 1)}")
 
 

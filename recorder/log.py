@@ -229,7 +229,7 @@ class RecordingWriter:
             **({PROGRAM: ("application/json", program)} if (program := description()) else {}),
             **self._attachments,
         }
-        self._sink = Sink(self.path, compression=c.compression)
+        self._sink = Sink(self.path, compression=c.compression, early=True)
         try:
             for name, (media_type, data) in attached.items():
                 self._sink.attach(name, media_type, data)

@@ -15,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from gpusimbench.recorder.capture.writeback import Writeback
 from gpusimbench.recorder.clock import calendar_ns
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.plan import partial_of, publish
@@ -35,9 +36,11 @@ class Sink:
     path         final name; the file must not exist
     compression  a key of COMPRESSIONS
     reserved     the .partial file is there already, empty, made for this recording (see recorder.plan.reserve)
+    early        data begin their way to the disk while the file is written: `finish` waits less for the disk, and
+                 writing at full speed takes up to 5 % longer
     """
 
-    def __init__(self, path: Path, *, compression: str, reserved: bool = False) -> None:
+    def __init__(self, path: Path, *, compression: str, reserved: bool = False, early: bool = False) -> None:
         self.path = path
         self.partial = partial_of(path)
         if path.exists():
@@ -52,6 +55,7 @@ class Sink:
         if os.fstat(self._stream.fileno()).st_size:
             self._stream.close()
             raise UsageError(f"{self.partial} is not empty; another recorder may be writing it")
+        self._writeback = Writeback(self._stream.fileno()) if early else None
         self._digest = ContentDigest()
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
@@ -128,6 +132,8 @@ class Sink:
         """Hand all that was written to the operating system: only a crash of the machine can lose it now."""
         with self._disk():
             self._writer.flush()
+            if self._writeback is not None:
+                self._writeback.wrote(self._stream.tell())
 
     def _message(self, topic: str, data: bytes | Sequence[Part], log_time: int) -> None:
         sequence = self._sequence.get(topic, 0)
@@ -160,6 +166,7 @@ class Sink:
         self.write(topics.RUN_END, end.SerializeToString(deterministic=True))
         with self._disk():
             self._writer.finish()
+            self._end_writeback()
             os.fsync(self._stream.fileno())
             self._stream.close()
             publish(self.path)
@@ -187,8 +194,13 @@ class Sink:
 
     def abandon(self) -> None:
         """Close the file as it is: without an end record and under its .partial name."""
+        self._end_writeback()
         with suppress(OSError):  # the error that led here is the one to report
             self._stream.close()
+
+    def _end_writeback(self) -> None:
+        if self._writeback is not None:
+            self._writeback.end()
 
     @contextmanager
     def _disk(self) -> Iterator[None]:

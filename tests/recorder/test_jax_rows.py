@@ -1,0 +1,73 @@
+"""Rows of JAX's arrays: every bit of every dtype comes to the host."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gpusimbench.recorder.vector.device.jax_rows import JaxRows
+
+jax = pytest.importorskip("jax")
+
+N_ENV = 3  # so that numbers of 8 and 16 bits fill no word
+ARRAYS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "observation/image": ("uint8", (5, 2, 3)),
+    "observation/half": ("float16", (3,)),
+    "observation/none": ("float32", (0,)),
+    "observation/joints": ("float32", (2, 2)),
+    "action": ("int8", (3,)),
+    "double": ("float64", (2,)),
+    "count": ("uint64", ()),
+    "reward": ("float32", ()),
+    "done": ("bool", ()),
+}
+
+
+def drawn(rng: np.random.Generator, dtype: str, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
+    """Any bits; floats of the first environment are NaN with a payload, those of the second negative zeros."""
+    if dtype == "bool":
+        return rng.integers(0, 2, (N_ENV, *shape)).astype(bool)
+    data = rng.integers(0, 256, (N_ENV, *shape, np.dtype(dtype).itemsize), dtype=np.uint8)
+    if dtype.startswith("float"):
+        data[0, ..., -2:] = 0xFF
+        data[1] = np.array(-0.0, dtype).reshape(1).view(np.uint8)
+    return data.view(dtype).reshape(N_ENV, *shape)
+
+
+def test_bits_of_all_dtypes() -> None:
+    """Keep rows of all dtypes in any order, replace some arrays, and take all bits; arrays are aligned on the host."""
+    rng = np.random.default_rng(5)
+    with jax.enable_x64(True):
+        rows, kept = JaxRows(), []
+        for number in range(4):
+            row = {name: drawn(rng, *described) for name, described in ARRAYS.items()}
+            arrays = {name: jax.numpy.asarray(array) for name, array in row.items()}
+            rows.keep(dict(reversed(arrays.items())) if number % 2 else arrays)
+            kept.append(row)
+        other = {name: drawn(rng, *ARRAYS[name]) for name in ("action", "observation/half", "observation/joints")}
+        before = rows.last(other)
+        rows.replace({name: jax.numpy.asarray(array) for name, array in other.items()})
+        for name, array in before().items():
+            assert array.tobytes() == kept[-1][name].tobytes()
+        kept[-1] |= other
+        found = rows.take()()
+    assert found.keys() == ARRAYS.keys()
+    for name, array in found.items():
+        assert array.shape == (len(kept), N_ENV, *ARRAYS[name][1])
+        assert array.dtype == ARRAYS[name][0]
+        assert array.flags.aligned
+        assert array.tobytes() == np.stack([row[name] for row in kept]).tobytes(), name
+
+
+def test_bits_as_jax_has_them() -> None:
+    """Take bfloat16 as float32, and numpy's float64 in the 32 bits that JAX makes of it."""
+    rows = JaxRows()
+    for number in range(2):
+        half = jax.numpy.full(N_ENV, number + 0.3, jax.numpy.bfloat16)
+        rows.keep({"reward": np.full(N_ENV, number + 0.1), "half": half})
+    found = rows.take()()
+    assert {name: array.dtype.name for name, array in found.items()} == {"reward": "float32", "half": "float32"}
+    assert np.array_equal(found["reward"], np.float32([[0.1] * 3, [1.1] * 3]))
+    assert np.array_equal(found["half"], np.float32(jax.numpy.bfloat16([[0.3] * 3, [1.3] * 3])))
