@@ -61,7 +61,7 @@ def cost_of(path: Path) -> Cost:
     assert timed_hashes is not None
     assert hashes is not None
     return Cost(
-        ratio=captured / timing["timed"].elapsed_s,
+        ratio=captured / timing["timed"].window_s,
         still=stall.total_s / captured if stall else 0.0,
         writing=timing["drain"].elapsed_s / captured,
         rate=c.steps // c.stride * row_bytes(c.n_env, recording.fields) / captured / 1e6,

@@ -98,7 +98,7 @@ def main() -> None:
             recording = recorded(a.sim, a.scene, folder, a.n_env, a.steps)
             assert recording.simulation is not None
             device = recording.simulation.device
-            ours.append(frames_per_second(a.n_env, a.steps, recording.timing["timed"].elapsed_s))
+            ours.append(frames_per_second(a.n_env, a.steps, recording.timing["timed"].window_s))
             model = model_of(recording, folder)
             loops.append(bare(a.sim, recording))
             contacts.append(float(recording.counts["timed"]["contacts"].mean[-1]))

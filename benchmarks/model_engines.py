@@ -44,6 +44,7 @@ ENGINES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
     "physx": ("physx", {"device": "cpu"}, {}),
     "physx-pgs": ("physx", {"device": "cpu", "solver": "PGS"}, {}),
     "isaaclab": ("isaaclab", {"device": "cpu"}, {}),
+    "isaaclab-newton": ("isaaclab", {"device": "cpu", "backend": "newton"}, {}),
     "genesis": ("genesis", {"device": "cpu"}, {}),
     "genesis-64": ("genesis", {"device": "cpu", "precision": "64"}, {}),
 }

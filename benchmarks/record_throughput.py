@@ -30,7 +30,7 @@ def recorded(folder: Path, n_env: int, steps: int) -> tuple[float, Path]:
         check=True, capture_output=True, text=True,
     )  # fmt: skip
     path = Path(done.stdout.strip())
-    return frames_per_second(n_env, steps, open_recording(path).timing["timed"].elapsed_s), path
+    return frames_per_second(n_env, steps, open_recording(path).timing["timed"].window_s), path
 
 
 def bare(path: Path, n_env: int, steps: int) -> float:

@@ -46,6 +46,11 @@ class StepTiming:
         return float((self.end_ns[list(ends)] - self.start_ns[begins]).sum()) * 1e-9
 
     @property
+    def window_s(self) -> float:
+        """Mean duration of a window, which has the timed steps once [s]."""
+        return self.elapsed_s / len(self.windows)
+
+    @property
     def first_end_ns(self) -> int:
         """The end of the first window [ns]."""
         return int(self.end_ns[self.windows[1] - 1 if len(self.windows) > 1 else -1])

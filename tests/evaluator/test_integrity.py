@@ -195,6 +195,7 @@ def test_the_same_steps_may_be_timed_several_times(tmp_path: Path) -> None:
     ]
     assert (found.times_of(4), found.windows) == (3, (0, 4, 8))
     assert found.elapsed_s == pytest.approx(3 * 55e-9)
+    assert found.window_s == pytest.approx(55e-9)
     assert found.first_end_ns == 55
     for sizes, whole_ in (
         ((4,), True),

@@ -234,16 +234,15 @@ def test_trials(tmp_path: Path) -> None:
 
 
 def test_refusals(tmp_path: Path) -> None:
-    """Refuse a ball joint by its name, and models on backends that were not given any."""
+    """Refuse a ball joint by its name, and models on the backend that was not given any."""
     ball = _world('<body><joint name="shoulder" type="ball"/><geom size=".1"/></body>')
     with pytest.raises(Refused, match="ball joint 'shoulder'"):
         engines.make("isaaclab", scene_of(ball, tmp_path)).build()
     parts = _world('<body name="b"><freejoint/><geom size=".1"/><body><geom size=".1" pos="0 0 .2"/></body></body>')
     with pytest.raises(Refused, match="no articulation without joints, such as that of body 'b'"):
         engines.make("isaaclab", scene_of(parts, tmp_path)).build()
-    for backend in ("newton", "physx"):
-        with pytest.raises(UsageError, match="no model files: use backend=ovphysx"):
-            engines.make("isaaclab", scene_of(MIXED, tmp_path), backend=backend)
+    with pytest.raises(UsageError, match="no model files: use backend=ovphysx"):
+        engines.make("isaaclab", scene_of(MIXED, tmp_path), backend="physx")
 
 
 def test_sizes_of_buffers(tmp_path: Path) -> None:

@@ -104,6 +104,8 @@ class ModelWorld(World):
                 )
                 left, moving = left[:, count:], moving[:, count:]
             asset.update(0.0)
+            # as in BodyWorld.put: Newton would clear its solver's starting point, which is put next
+            _ = asset.data.body_link_pose_w.torch
 
     def prepare(self, controls: NDArray[np.float32]) -> None:
         """Take the controls of the next steps, [step, env, actuator]."""
@@ -142,6 +144,12 @@ class ModelWorld(World):
         self.sim.step(render=False)
         for asset, _ in self._assets:
             asset.update(self._dt)
+
+    def rehearse(self) -> None:
+        """See World.rehearse."""
+        given, self._given = self._given, []
+        self.step()
+        self._given = given
 
     def fields(self) -> tuple[StateField, ...]:
         """See World.fields."""

@@ -16,7 +16,7 @@ _NOT_OF_MODELS = ("contact.restitution_combination", "contact.restitution", "ang
 def deviations(scene: Scene, options: IsaacLabOptions) -> tuple[Deviation, ...]:
     """The parameters that the backend honours otherwise than the scene gives them, or not at all."""
     if options.backend == "newton":
-        return _newton(scene)
+        return () if isinstance(scene, ModelScene) else _newton(scene)
     found = _physx(options)
     if isinstance(scene, ModelScene):
         return tuple(deviation for deviation in found if deviation.parameter not in _NOT_OF_MODELS)

@@ -36,12 +36,14 @@ def scene_cfg(model: Model, *, n_env: int, options: IsaacLabOptions, gpu: bool) 
     from isaaclab.scene import InteractiveSceneCfg
     from isaaclab.sim.spawners import SpawnerCfg
 
-    settings = apis(as_physx(options), gpu=gpu, enhanced=False, capacities={})
+    newton = options.backend == "newton"  # whose importer would take PhysX's offsets for the file's
+    settings = {} if newton else apis(as_physx(options), gpu=gpu, enhanced=False, capacities={})
     text = model.usd(settings, spacing=options.spacing, isaac_lab=True)
     cfg = InteractiveSceneCfg(num_envs=n_env, env_spacing=options.spacing)
-    for name, source, target in (
-        ("materials", MATERIALS, MATERIALS), ("shared", SHARED, SHARED), ("model", env_path(0), _ROOT),
-    ):  # fmt: skip
+    parts = {"materials": (MATERIALS, MATERIALS), "shared": (SHARED, SHARED), "model": (env_path(0), _ROOT)}
+    if newton:  # all is within each environment
+        del parts["materials"], parts["shared"]
+    for name, (source, target) in parts.items():
         asset = AssetBaseCfg(
             prim_path=target,
             spawn=SpawnerCfg(func=_copying(text, source)),

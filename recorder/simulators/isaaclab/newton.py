@@ -4,23 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.simulators.buffer_sizes import measure
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
-if TYPE_CHECKING:
-    from gpusimbench.recorder.simulators.buffer_sizes import Need
-
 MODES = {"default": "not_guaranteed", "run-to-run": "run_to_run", "gpu-to-gpu": "gpu_to_gpu"}
 """Isaac Lab's deterministic_mode by determinism level."""
+
+_INTEGRATORS = ("euler", "rk4", "implicitfast")
 
 _FAULTY = "3."
 """Releases of MuJoCo Warp, as far as Isaac Lab 3.0 takes them, whose Hessian of an elliptic cone is indefinite where a
@@ -44,18 +49,19 @@ class Newton:
         self._options = options
         self._n_env = n_env
         self._mode = MODES[level]
-        need = _measure(scene, dt=dt, seed=seed, options=options)
+        compiled = _compiled(scene, dt=dt, options=options)
+        need = replace(measure(compiled, dt=dt, seed=seed), margin=_MARGIN)
         self._contacts = options.max_contacts or need.size(need.pool)
         self._contacts_by = "asked for" if options.max_contacts else need.sized_by(need.pool)
         self._rows = options.max_rows or need.size(need.rows)
         self._rows_by = "asked for" if options.max_rows else need.sized_by(need.rows)
+        self._of_a_file = isinstance(scene, ModelScene)
+        file = compiled.model.opt if self._of_a_file else None
         self.cfg = NewtonCfg(
             solver_cfg=MJWarpSolverCfg(
                 njmax=self._rows,
                 nconmax=self._contacts,
-                iterations=options.iterations,
-                ls_iterations=options.ls_iterations,
-                cone=options.cone,
+                **_solver(options, file),
                 disable_sensors=level != "default",  # a condition of deterministic modes; the scene has none
             ),
             deterministic_mode=self._mode,
@@ -138,7 +144,7 @@ class Newton:
         import mujoco
 
         opt, model = self._solver.mj_model.opt, self._solver.mj_model
-        return {
+        found = {
             "solver": "mujoco_warp",
             "iterations": int(opt.iterations),
             "ls_iterations": int(opt.ls_iterations),
@@ -147,10 +153,15 @@ class Newton:
             "integrator": mujoco.mjtIntegrator(opt.integrator).name.removeprefix("mjINT_").lower(),
             "mujoco_solver": mujoco.mjtSolver(opt.solver).name.removeprefix("mjSOL_").lower(),
             "impratio": float(opt.impratio),
+            "substeps": int(self.cfg.num_substeps),
+        }
+        if self._of_a_file:  # whose geoms have their own
+            return found
+        return {
+            **found,
             "solref": [float(number) for number in model.geom_solref[0]],
             "solimp": [float(number) for number in model.geom_solimp[0]],
             "condim": int(model.geom_condim[0]),
-            "substeps": int(self.cfg.num_substeps),
         }
 
     def switches(self) -> dict[str, Any]:
@@ -194,11 +205,30 @@ def _buffer(name: str, given: int, counter: Counter, wanted: int, by: str) -> Bu
     return Buffer(name, given, "env", counter.name, by)
 
 
-def _measure(scene: Scene, *, dt: float, seed: int, options: IsaacLabOptions) -> Need:
-    from gpusimbench.recorder.simulators.buffer_sizes import measure
-    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
-    from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
-
+def _compiled(scene: Scene, *, dt: float, options: IsaacLabOptions) -> MjcfModel:
+    if isinstance(scene, ModelScene):
+        own = parse_options("mujoco", MjcfOptions, scene.options({"cone": options.cone}, names_of(MjcfOptions)))
+        return compile_scene(scene, dt=dt, options=own)
     compiled = compile_scene(scene, dt=dt, options=MjcfOptions(cone=options.cone))
     compiled.model.geom_gap[:] = options.contact_offset - options.rest_offset  # as Newton reads them
-    return replace(measure(compiled, dt=dt, seed=seed), margin=_MARGIN)
+    return compiled
+
+
+def _solver(options: IsaacLabOptions, file: Any) -> dict[str, Any]:
+    """What of Isaac Lab's configuration of the solver is chosen; what is no option of the adapter is the model
+    file's."""
+    import mujoco
+
+    chosen = {"iterations": options.iterations, "ls_iterations": options.ls_iterations, "cone": options.cone}
+    if file is None:
+        return chosen
+    integrator = mujoco.mjtIntegrator(file.integrator).name.removeprefix("mjINT_").lower()
+    if integrator not in _INTEGRATORS:
+        raise Refused(f"MuJoCo Warp has no integrator '{integrator}', which the model file asks for")
+    return {
+        **chosen,
+        "impratio": float(file.impratio),
+        "integrator": integrator,
+        "enable_multiccd": not int(file.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_MULTICCD),
+        "solver": "cg" if file.solver == mujoco.mjtSolver.mjSOL_CG else "newton",  # there is no PGS
+    }

@@ -28,8 +28,9 @@ class IsaacLabOptions:
     friction_combine, restitution_combine  PhysX: the coefficient of a pair of materials: average, min, multiply or max
     gpu_...              PhysX on a GPU: sizes of its buffers; 0: Isaac Lab's own, or more where what was measured for
                          this many environments needs more
-    iterations, ls_iterations  newton: of the solver, and of its line search
-    cone                 newton: elliptic or pyramidal friction cones
+    iterations, ls_iterations  newton: of the solver, and of its line search; with a model file, the file's where not
+                         given
+    cone                 newton: elliptic or pyramidal friction cones; with a model file, the file's where not given
     max_contacts         newton: contacts per environment for which there is room; 0: as many as were measured, and a
                          margin
     max_rows             newton: the same for rows of constraints

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere
-from gpusimbench.recorder.scenes.emit.usd import identifiers
+from gpusimbench.recorder.scenes.emit.usd import MATERIALS, identifiers
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 
 _AMBIGUOUS = (6, 7)
@@ -35,13 +35,14 @@ def scene_cfg(scene: Scene, *, n_env: int, options: IsaacLabOptions) -> tuple[An
     from isaaclab.scene import InteractiveSceneCfg
 
     names = identifiers(body.name for body in scene.bodies)
+    materials = identifiers({body.material.name: None for body in scene.bodies})
     cfg = InteractiveSceneCfg(num_envs=n_env, env_spacing=options.spacing)
     for body in scene.bodies:
         if body.fixed:
             shared = isinstance(body.shape, Plane)  # with the bodies of all environments
             asset = AssetBaseCfg(
                 prim_path=f"/World/{names[body.name]}" if shared else f"{{ENV_REGEX_NS}}/fixed_{names[body.name]}",
-                spawn=_spawner(body, options),
+                spawn=_spawner(body, materials[body.material.name], options),
                 init_state=AssetBaseCfg.InitialStateCfg(pos=body.position, rot=xyzw(body.orientation)),
                 collision_group=-1 if shared else 0,
             )
@@ -51,7 +52,7 @@ def scene_cfg(scene: Scene, *, n_env: int, options: IsaacLabOptions) -> tuple[An
         members = {
             names[body.name]: RigidObjectCfg(
                 prim_path=f"{{ENV_REGEX_NS}}/{part}_{names[body.name]}",  # by which Newton finds a collection's bodies
-                spawn=_spawner(body, options),
+                spawn=_spawner(body, materials[body.material.name], options),
                 init_state=RigidObjectCfg.InitialStateCfg(pos=body.position, rot=xyzw(body.orientation)),
             )
             for body in bodies
@@ -73,7 +74,7 @@ def xyzw(orientation: Quaternion) -> tuple[float, float, float, float]:
     return x, y, z, w
 
 
-def _spawner(body: Body, options: IsaacLabOptions) -> Any:
+def _spawner(body: Body, material: str, options: IsaacLabOptions) -> Any:
     import isaaclab.sim as lab
     from isaaclab.sim.schemas import MassCfg, UsdPhysicsCollisionCfg, UsdPhysicsRigidBodyCfg
     from isaaclab.sim.spawners.materials import UsdPhysicsRigidBodyMaterialCfg
@@ -97,6 +98,9 @@ def _spawner(body: Body, options: IsaacLabOptions) -> Any:
             ),
         ],
     }
+    if options.backend != "newton":  # whose importer reads an environment without what is beside it
+        # one for all environments: PhysX has at most 65,536, fewer than bodies of 4,096 environments
+        common["physics_material_path"] = f"{MATERIALS}/{material}"
     if body.mass is not None:
         common["mass_props"] = [MassCfg(mass=body.mass)]
         common["rigid_props"] = [

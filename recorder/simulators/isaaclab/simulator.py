@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
-from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator
@@ -75,14 +75,17 @@ class IsaacLab(Simulator):
 
     @classmethod
     def parsed(cls, name: str, scene: Scene, given: Mapping[str, str]) -> Any:
-        """See Simulator.parsed: of a model's pair of geoms, friction is the larger one, as it is in MuJoCo."""
+        """See Simulator.parsed: of a model's pair of geoms, friction is the larger one, as it is in MuJoCo, and the
+        solver's options are those of the file."""
         given = {option: value for option, value in given.items() if option not in scene.own_options}
-        return parse_options(name, cls.Options, {**OF_MODELS, **given} if isinstance(scene, ModelScene) else given)
+        if isinstance(scene, ModelScene):
+            given = {**OF_MODELS, **scene.options(given, names_of(cls.Options))}
+        return parse_options(name, cls.Options, given)
 
     @classmethod
     def withheld(cls, options: Any) -> dict[Ability, str]:
         """See Simulator.withheld."""
-        return {} if options.backend == "ovphysx" else {Ability.MODELS: "backend=ovphysx"}
+        return {Ability.MODELS: "backend=ovphysx"} if options.backend == "physx" else {}
 
     def build(self) -> Description:
         """See Simulator.build."""
@@ -109,12 +112,12 @@ class IsaacLab(Simulator):
         self._compiled = False
         self._model: Any = None  # of a model file
         if isinstance(self.scene, ModelScene):
-            from gpusimbench.recorder.simulators.physx.model import Model
-
-            self._model = Model(self.scene, dt=self.dt)
+            self._model = self._make_model(self.scene)
         self._physics = self._make_physics()
         self._world = self._make_world()
         self._physics.attach(self._world.sim, self._rows())
+        if self._model is not None and self.options.backend == "newton":
+            self._model.read(self._world.sim.physics_manager)
         self._made = 0  # steps
         self._first = self._kept()
         origins = tuple((float(x), float(y), float(z)) for x, y, z in self._world.origins.tolist())
@@ -143,6 +146,15 @@ class IsaacLab(Simulator):
             remarks=(*self._world.warnings, *self._physics.remarks()),
         )
 
+    def _make_model(self, scene: ModelScene) -> Any:
+        if self.options.backend == "newton":
+            from gpusimbench.recorder.simulators.isaaclab.newton_model import NewtonModel
+
+            return NewtonModel(scene, dt=self.dt)
+        from gpusimbench.recorder.simulators.physx.model import Model
+
+        return Model(scene, dt=self.dt)
+
     def _deviations(self) -> tuple[Deviation, ...]:
         from gpusimbench.recorder.simulators.isaaclab.deviations import deviations
 
@@ -159,7 +171,9 @@ class IsaacLab(Simulator):
 
     def _common(self) -> dict[str, Any]:
         options: IsaacLabOptions = self.options
-        names = ("backend", "spacing", "contact_offset", "rest_offset")
+        names = ["backend", "spacing"]
+        if options.backend != "newton" or self._model is None:  # to Newton, distances of contacts are the file's
+            names += ["contact_offset", "rest_offset"]
         return {**{name: getattr(options, name) for name in names}, "device": str(self._device)}
 
     def _make_physics(self) -> Any:
@@ -216,7 +230,7 @@ class IsaacLab(Simulator):
         if self.options.backend == "newton" and not self._compiled:
             before = self._kept()
             try:
-                self._world.step()
+                self._world.rehearse()
             except (RuntimeError, ValueError, NotImplementedError) as error:
                 raise self._refused(error) from None
             self._put(before, None, self._made)
@@ -244,11 +258,11 @@ class IsaacLab(Simulator):
         self._world.hold(controls)
 
     def imported(self) -> Imported | None:
-        """See Simulator.imported: PhysX's tensors of links and degrees of freedom."""
+        """See Simulator.imported: PhysX's tensors of links and degrees of freedom, or what MuJoCo Warp steps."""
         return None if self._model is None else self._model.imported(self.dt)
 
     def link_poses(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """See Simulator.link_poses: where PhysX has the links."""
+        """See Simulator.link_poses: where the engine has the links."""
         positions, orientations = self._model.link_poses()
         return positions, orientations
 

@@ -66,6 +66,10 @@ class World(ABC):
     def step(self) -> None:
         """One step, as a user's loop has it; nothing waits for the device."""
 
+    def rehearse(self) -> None:
+        """Make a step that is taken back; controls that wait for steps go on waiting."""
+        self.step()
+
     @abstractmethod
     def state(self) -> tuple[Any, Any]:
         """Positions and velocities, torch arrays [env, ...] on the device, which may be used again."""

@@ -53,7 +53,7 @@ _NAMES = {
 def as_mujoco_has_it(model: Any) -> Quantities:
     """The quantities of a mujoco.MjModel [SI]. Inertias are about the centre of mass, in the body's frame, [body, 9];
     ranges are infinite where joints have none."""
-    joints = _joints(model)
+    joints = single_joints(model)
     dofs = model.jnt_dofadr[joints]
     turned = np.stack([_rotation(quaternion) for quaternion in model.body_iquat])
     inertia = np.einsum("bij,bj,bkj->bik", turned, model.body_inertia, turned)
@@ -78,7 +78,7 @@ def as_newton_has_it(newton_model: Any, imported: Imported, model: Any, solver: 
 
     model  the mujoco.MjModel that MuJoCo itself makes of the file
     """
-    joints = _joints(model)
+    joints = single_joints(model)
     bodies = imported.bodies[1:]
     q, qd, own = imported.at_q[joints], imported.at_qd[joints], imported.joints[joints]
     inertia = newton_model.body_inertia.numpy()[bodies].reshape(-1, 9)
@@ -113,7 +113,7 @@ def deviations_of_import(newton_model: Any, solver: Any, imported: Imported, mod
     """
     unread = UNREAD.get(name, ())
     wanted, found = as_mujoco_has_it(model), as_newton_has_it(newton_model, imported, model, name)
-    items = {"bodies": _bodies(model), "joints": [_joint(model, j) for j in _joints(model)]}
+    items = {"bodies": body_names(model), "joints": [joint_name(model, j) for j in single_joints(model)]}
     said: list[Deviation] = []
     for quantity, array in wanted.items():
         kind, _, what = quantity.partition(".")
@@ -134,14 +134,7 @@ def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviatio
         without = f", and lacks the tendons {', '.join(lost)}" if lost else ""
         raise Refused(f"SolverMuJoCo makes {made.nu} of the model's {model.nu} actuators{without}")
     reason = "so Newton's importer and SolverMuJoCo make it"
-    for kind, options in (("model", _OF_MODEL), ("option", _OF_SOLVER)):
-        for option in options:
-            values = [np.atleast_1d(getattr(m.opt, option)).astype(float)[None] for m in (model, made)]
-            yield from different(f"{kind}.{option}", [""], values, reason)
-    for option, words in _words().items():
-        said = [", ".join(w for w, at in words.items() if _has(m.opt, option, at)) or "none" for m in (model, made)]
-        if said[0] != said[1]:
-            yield Deviation(f"option.{option}", said[0], said[1], reason)
+    yield from different_options(model, made, reason)
     actuators = [model.actuator(a).name or f"actuator{a}" for a in range(model.nu)]
     yield from _table("actuator", _ACTUATOR, actuators, model, made, reason)
     places = solver.mjc_jnt_to_newton_dof.numpy()[0]
@@ -154,12 +147,29 @@ def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviatio
     yield from _table(
         "eq", _EQUALITY, [model.equality(e).name or f"{e}" for e in range(model.neq)], model, made, reason
     )
-    at = np.full(made.nbody, -1)
+    yield from different_contacts(model, made, bodies_of_solver(solver, imported), reason)
+
+
+def bodies_of_solver(solver: Any, imported: Imported) -> NDArray[np.int64]:
+    """By number of a body of SolverMuJoCo's, the model's; 0 for the world and for what the model does not have."""
     of_newton = solver.mjc_body_to_newton.numpy()[0]
+    at = np.full(len(of_newton), -1)
     for body, newton_body in enumerate(of_newton):
         found = np.flatnonzero(imported.bodies == newton_body)
         at[body] = found[0] if len(found) else 0
-    yield from _contacts(model, made, at, reason)
+    return at
+
+
+def different_options(model: Any, made: Any, reason: str) -> Iterator[Deviation]:
+    """Options and flags of two mujoco.MjModels that are not the same."""
+    for kind, options in (("model", _OF_MODEL), ("option", _OF_SOLVER)):
+        for option in options:
+            values = [np.atleast_1d(getattr(m.opt, option)).astype(float)[None] for m in (model, made)]
+            yield from different(f"{kind}.{option}", [""], values, reason)
+    for option, words in _words().items():
+        said = [", ".join(w for w, at in words.items() if _has(m.opt, option, at)) or "none" for m in (model, made)]
+        if said[0] != said[1]:
+            yield Deviation(f"option.{option}", said[0], said[1], reason)
 
 
 def _words() -> dict[str, dict[str, int]]:
@@ -179,11 +189,24 @@ def _has(options: Any, option: str, number: int) -> bool:
     return bool(value & number) if option.endswith("flags") else value == number
 
 
-def _contacts(model: Any, made: Any, at: NDArray[np.int64], reason: str) -> Iterator[Deviation]:
-    """Shapes that collide, body by body, and pairs of bodies that may; at is by body of `made`, that of `model`."""
-    names = ["world", *_bodies(model)]
+def different_contacts(
+    model: Any, made: Any, at: NDArray[np.int64], reason: str, *, unordered: bool = False
+) -> Iterator[Deviation]:
+    """Shapes that collide, body by body, and pairs of bodies that may; at is by body of `made`, that of `model`.
+
+    unordered  `made` has the shapes that collide and no others, those of a body in any order, and bodies that never
+               move may be parts of its world
+    """
+    names = ["world", *body_names(model)]
+    merged = np.array([body for body in range(model.nbody) if not (at == body).any()], dtype=np.int64)
     for body in range(model.nbody):
+        if body in merged:
+            continue
         own = [_colliding(model, body), _colliding(made, int(np.flatnonzero(at == body)[0]))]
+        if unordered:
+            own[0] += [geom for other in merged if not body for geom in _colliding(model, int(other))]
+            own[1] = list(np.flatnonzero(at[made.geom_bodyid] == body))
+            own = [_by_size(m, geoms) for m, geoms in zip((model, made), own, strict=True)]
         if len(own[0]) != len(own[1]):
             yield Deviation(f"{names[body]}.shapes", f"{len(own[0])} that collide", str(len(own[1])), reason)
         if len(own[0]) != len(own[1]) or not own[0]:
@@ -196,7 +219,8 @@ def _contacts(model: Any, made: Any, at: NDArray[np.int64], reason: str) -> Iter
             rows = [np.asarray(a, dtype=float).reshape(len(geoms), -1) for a, geoms in zip(sizes, own, strict=True)]
             labels = [model.geom(g).name or f"geom{g}" for g in own[0]]
             yield from different(f"{names[body]}.{what}", labels, rows, reason)
-    wanted, used = colliding_bodies(model, np.arange(model.nbody)), colliding_bodies(made, at)
+    own_numbers = np.where(np.isin(np.arange(model.nbody), merged), 0, np.arange(model.nbody))
+    wanted, used = colliding_bodies(model, own_numbers), colliding_bodies(made, at)
     for pairs, word in ((wanted - used, "collide"), (used - wanted, "do not collide")):
         if pairs:
             listed = [f"{names[a]} and {names[b]}" for a, b in sorted(pairs)]
@@ -224,7 +248,7 @@ def _not_of_others(model: Any, name: str) -> Iterator[Deviation]:
     if np.any(model.body_gravcomp):
         yield Deviation(
             "bodies.gravity_compensation",
-            few(_bodies(model), _SHOWN),
+            few(body_names(model), _SHOWN),
             "0",
             f"solver {name} has no compensation of gravity",
         )
@@ -269,15 +293,18 @@ def different(parameter: str, items: list[str], arrays: Sequence[NDArray[Any]], 
         yield Deviation(parameter, few(texts[0], _SHOWN), few(texts[1], _SHOWN), reason)
 
 
-def _joints(model: Any) -> NDArray[np.int64]:
+def single_joints(model: Any) -> NDArray[np.int64]:
+    """Numbers of the joints that are not free."""
     return np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE)
 
 
-def _joint(model: Any, joint: int) -> str:
+def joint_name(model: Any, joint: int) -> str:
+    """Its name, or else its number."""
     return str(model.joint(joint).name or f"joint{joint}")
 
 
-def _bodies(model: Any) -> list[str]:
+def body_names(model: Any) -> list[str]:
+    """Of all bodies but the world, as joint_name."""
     return [str(model.body(body).name or f"body{body}") for body in range(1, model.nbody)]
 
 
@@ -313,13 +340,21 @@ def _colliding(model: Any, body: int) -> list[int]:
     ]  # fmt: skip
 
 
+def _by_size(model: Any, geoms: list[int]) -> list[int]:
+    # shapes of several bodies in one have no order of their own
+    rows = np.round(_sizes(model, geoms), 6).tolist()
+    order = sorted(range(len(geoms)), key=lambda i: (int(model.geom_type[geoms[i]]), rows[i]))
+    return [geoms[i] for i in order]
+
+
 def _sizes(model: Any, geoms: list[int]) -> NDArray[np.float64]:
     # of planes nothing, as those of engines have no edge; of meshes their number of points
     sizes = np.array(model.geom_size[geoms], dtype=float).reshape(-1, 3)
     kinds = model.geom_type[geoms]
     sizes[kinds == mujoco.mjtGeom.mjGEOM_PLANE] = 0
     sizes[kinds == mujoco.mjtGeom.mjGEOM_MESH] = 0
-    for kind, used in ((mujoco.mjtGeom.mjGEOM_SPHERE, 1), (mujoco.mjtGeom.mjGEOM_CAPSULE, 2)):
+    lengths = {mujoco.mjtGeom.mjGEOM_SPHERE: 1, mujoco.mjtGeom.mjGEOM_CAPSULE: 2, mujoco.mjtGeom.mjGEOM_CYLINDER: 2}
+    for kind, used in lengths.items():
         sizes[kinds == kind, used:] = 0
     return sizes
 

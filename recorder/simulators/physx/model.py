@@ -33,7 +33,10 @@ class Model:
     compiled  by MuJoCo
     plan      which links and joints it becomes
     driven    what its controls do to them
+    springs   whether springs and damping of joints are part of their drives
     """
+
+    springs = True
 
     def __init__(self, scene: ModelScene, *, dt: float) -> None:
         """Refused as of trees.plan and servos.Driven."""
@@ -41,7 +44,7 @@ class Model:
         self.compiled = compile_scene(scene, dt=dt, options=own)
         self.plan = plan(self.compiled.model, scene.file)
         self._file = scene.file
-        self.driven = Driven(self.compiled.model, "PhysX", "other engines take such models")
+        self.driven = Driven(self.compiled.model, "PhysX", "other engines take such models", springs=self.springs)
 
     @property
     def gravity(self) -> Vector:
@@ -82,9 +85,12 @@ class Model:
         poses = self._source.link_poses()
         bodies = of_c(self.compiled.model).names["bodies"]
         frames = {link.prim: link.frame for tree in self.plan.trees for link in tree.links if link.body < 0}
-        extra = [frames[name] for name in self._held().added]
+        extra = [frames[name] for name in self._added()]
         poses = np.concatenate([poses[:, : len(bodies)], poses[:, extra]], axis=1)
         return poses[..., :3], poses[..., 3:]
+
+    def _added(self) -> Sequence[str]:
+        return list(self._held().added)
 
     def _held(self) -> Held:
         return held(self.plan, self.driven.servos, self._source)

@@ -53,9 +53,10 @@ class Driven:
     uses    names of PhysX's tensors that controls change
     """
 
-    def __init__(self, model: Any, engine: str, remedy: str) -> None:
+    def __init__(self, model: Any, engine: str, remedy: str, *, springs: bool = True) -> None:
         """Refused where the model's actuators are others than motors, and servos of joints; engine, remedy as of
-        `drives`."""
+        `drives`; springs: whether springs and damping of joints are part of their drives."""
+        self._springs = springs
         singles = [j for j in range(model.njnt) if model.jnt_type[j] in _SINGLE]
         places = Places(np.asarray(model.jnt_qposadr), np.asarray(model.jnt_dofadr), model.nv)
         self._made: Drives = drives(model, places, engine, remedy=remedy, limited_servos=True)
@@ -71,6 +72,8 @@ class Driven:
     def _servo(self, model: Any, joint: int, engine: str) -> Servo:
         dof, made = int(model.jnt_dofadr[joint]), self._made
         stiffness, damping = float(model.jnt_stiffness[joint]), float(model.dof_damping[dof])
+        if not self._springs:
+            stiffness = damping = 0.0
         reference = float(model.qpos0[model.jnt_qposadr[joint]])
         rest = float(model.qpos_spring[model.jnt_qposadr[joint]]) - reference
         kp = kv = hold = 0.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -41,8 +41,31 @@ _SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
 _NONE = math.inf
 
 
+class Words(Protocol):
+    """Lines of properties that an engine's importer reads besides those of PhysX, by numbers of MuJoCo's."""
+
+    def joint(self, joint: int) -> list[str]:
+        """Of a hinge or slide."""
+
+    def geom(self, geom: int) -> list[str]:
+        """Of a shape that collides."""
+
+    def body(self, body: int) -> list[str]:
+        """Of a link."""
+
+    def friction(self, coefficients: Sequence[float]) -> list[str]:
+        """Of a material, geom_friction of its geoms."""
+
+
 def emit_model(
-    plan: Plan, servos: Mapping[int, Servo], *, gravity: Vector, apis: Apis, spacing: float, isaac_lab: bool = False
+    plan: Plan,
+    servos: Mapping[int, Servo],
+    *,
+    gravity: Vector,
+    apis: Apis,
+    spacing: float,
+    isaac_lab: bool = False,
+    words: Words | None = None,
 ) -> str:
     """The text of a stage with one environment, in the reference state; its prims are those of the plan.
 
@@ -53,19 +76,25 @@ def emit_model(
     isaac_lab  whether Isaac Lab takes it. Its environments are copies in USD: what is fixed to the world is fixed to
                its environment's prim, and not at a place in the world, which would be the same for all copies. Its
                articulations have joints: a free body without them is none
+    words    whose lines are added. All is then within each environment, also materials and planes: Newton's importer
+             reads an environment without what is beside it, and its worlds do not see each other
 
     Refused where environments beside each other would share a plane that is not level.
     """
-    return _Writer(plan, servos, apis, spacing, isaac_lab).text(gravity)
+    return _Writer(plan, servos, apis, spacing, isaac_lab, words).text(gravity)
 
 
 class _Writer:
-    def __init__(self, plan: Plan, servos: Mapping[int, Servo], apis: Apis, spacing: float, isaac_lab: bool) -> None:
+    def __init__(
+        self, plan: Plan, servos: Mapping[int, Servo], apis: Apis, spacing: float, isaac_lab: bool, words: Words | None
+    ) -> None:
         self._plan, self._model, self._servos, self._apis = plan, plan.model, servos, apis
-        self._spacing, self._isaac_lab = spacing, isaac_lab
+        self._spacing, self._isaac_lab, self._words = spacing, isaac_lab, words
         self._data = mujoco.MjData(plan.model)
         mujoco.mj_kinematics(plan.model, self._data)  # of the reference state
-        self._friction = frictions(plan.model)
+        self._friction: list[tuple[float, ...]] = [(one,) for one in frictions(plan.model)]
+        if words is not None:
+            self._friction = [tuple(map(float, all_of)) for all_of in plan.model.geom_friction]
         self._frictions = sorted(set(self._friction))
         self._apart = apart(plan)
         self._paths = {
@@ -76,19 +105,33 @@ class _Writer:
     def text(self, gravity: Vector) -> str:
         world = Prim("Xform", "World")
         world.add(physics_scene(gravity, self._apis))
-        materials = world.add(Prim("Scope", "materials"))
-        for number, friction in enumerate(self._frictions):
-            named = Material(f"friction{number}", friction, friction, 0.0)
-            materials.add(material_prim(named, named.name, self._apis))
+        if self._words is None:
+            self._add_materials(world)
         common = world.add(Prim("Scope", "shared"))
         env = world.add(Prim("Scope", "envs")).add(Prim("Xform", "env0"))
+        if self._words is not None:
+            self._add_materials(env)
         for geom, name in self._plan.fixed_prims.items():
             (common if self._is_shared(geom) else env).add(self._fixed(geom, name))
         for tree in self._plan.trees:
             env.add(self._tree(tree))
         return stage_text(world)
 
+    def _add_materials(self, above: Prim) -> None:
+        materials = above.add(Prim("Scope", "materials"))
+        for number, coefficients in enumerate(self._frictions):
+            named = Material(f"friction{number}", coefficients[0], coefficients[0], 0.0)
+            prim = materials.add(material_prim(named, named.name, self._apis))
+            if self._words is not None:
+                prim.properties += self._words.friction(coefficients)
+
+    def _material(self, geom: int) -> str:
+        where = MATERIALS if self._words is None else f"{env_path(0)}/materials"
+        return f"{where}/friction{self._frictions.index(self._friction[geom])}"
+
     def _is_shared(self, geom: int) -> bool:
+        if self._words is not None:
+            return False
         plane = self._model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE
         if plane and self._spacing and abs(self._data.geom_xmat[geom, 8]) < 1 - _LEVEL:
             name = self._model.geom(geom).name or f"geom{geom}"
@@ -129,6 +172,8 @@ class _Writer:
             own["bool physxRigidBody:disableGravity"] = True
         prim.apply({"PhysxRigidBodyAPI": own}, "PhysxRigidBodyAPI")
         if link.body >= 0:
+            if self._words is not None:
+                prim.properties += self._words.body(link.body)
             _filter(prim, [self._paths[other] for other in self._apart.bodies.get(link.body, ())])
             for geom in range(model.ngeom):
                 if model.geom_bodyid[geom] == link.body and collides(model, geom):
@@ -139,7 +184,7 @@ class _Writer:
 
     def _collider(self, geom: int) -> Prim:
         model = self._model
-        material = f"{MATERIALS}/friction{self._frictions.index(self._friction[geom])}"
+        material = self._material(geom)
         kind, sizes = mujoco.mjtGeom(int(model.geom_type[geom])), [float(size) for size in model.geom_size[geom]]
         if kind == mujoco.mjtGeom.mjGEOM_MESH:
             prim = self._mesh(geom, material)
@@ -153,6 +198,8 @@ class _Writer:
         else:
             prim = collider(_shape(kind, sizes), "shape", material, self._apis)
         _filter(prim, [self._geom_path(other) for other in self._apart.geoms.get(geom, ())])
+        if self._words is not None:
+            prim.properties += self._words.geom(geom)
         return prim
 
     def _geom_path(self, geom: int) -> str:
@@ -193,6 +240,8 @@ class _Writer:
         else:
             origin, axis = joint_frame(model, joint)
             prim = self._hinge_or_slide(joint)
+            if self._words is not None:
+                prim.properties += self._words.joint(joint)
         if link.parent >= 0:
             prim.properties.append(f"rel physics:body0 = <{above}/{tree.links[link.parent].prim}>")
         elif self._isaac_lab:
@@ -228,7 +277,7 @@ class _Writer:
         limits = model.jnt_range[joint] - model.qpos0[model.jnt_qposadr[joint]]
         if not model.jnt_limited[joint]:
             limits = np.array([-FAR, FAR])  # of a hinge without limits, PhysX wraps the angle at 2 pi
-        if model.jnt_limited[joint] or not slides:
+        if model.jnt_limited[joint] or not (slides or self._words):
             for end, limit in zip(("lower", "upper"), limits, strict=True):
                 prim.properties.append(f"float physics:{end}Limit = {literal(float(limit) * degrees)}")
         numbers = {

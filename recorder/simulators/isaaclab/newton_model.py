@@ -1,0 +1,118 @@
+"""A model file under Isaac Lab's Newton: what it is given, and what MuJoCo Warp, its solver, holds of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.scenes.emit.usd import Apis
+from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.simulators.isaaclab.mjc import MuJoCoWords
+from gpusimbench.recorder.simulators.newton.imported import Imported as Places
+from gpusimbench.recorder.simulators.newton.solver_made import deviations_of_solver, quantities_of_solver
+from gpusimbench.recorder.simulators.physx.made import Held, imported_of
+from gpusimbench.recorder.simulators.physx.model import Model
+from gpusimbench.recorder.simulators.physx.options import PhysxOptions
+from gpusimbench.recorder.simulators.physx.stage import emit_model
+from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Link
+from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.imported import Imported
+from gpusimbench.schemas.provenance import Deviation
+from gpusimbench.schemas.text import few
+
+_NAMED = 4  # in a deviation
+_REASON = "so Isaac Lab, Newton's importer and SolverMuJoCo make it"
+_COMPARED = "not read by name; what differs is among the deviations of a recording, and the kinematics compare frames"
+
+
+class NewtonModel(Model):
+    """A model file as Isaac Lab's Newton is given it: the links and joints of PhysX's stage, with MuJoCo's own
+    attributes."""
+
+    springs = False  # MuJoCo's own attributes are for them
+
+    def __init__(self, scene: ModelScene, *, dt: float) -> None:
+        """Refused as of Model."""
+        try:
+            super().__init__(scene, dt=dt)
+        except Refused as error:
+            raise Refused(f"Isaac Lab's Newton is given the links and joints that PhysX is given: {error}") from None
+
+    def usd(self, apis: Apis, *, spacing: float, isaac_lab: bool = False) -> str:
+        """See Model.usd."""
+        return emit_model(
+            self.plan, self.driven.servos, gravity=self.gravity, apis=apis, spacing=spacing, isaac_lab=isaac_lab,
+            words=MuJoCoWords(self.compiled.model),
+        )  # fmt: skip
+
+    def read(self, manager: Any) -> None:
+        """Find the first environment in what Isaac Lab's manager of Newton has made."""
+        self._solver = manager._solver  # Isaac Lab shows the solver nowhere else
+        self._places = self._found(manager.backend.model)
+
+    def _found(self, made: Any) -> Places:
+        model, plan = self.compiled.model, self.plan
+        first = {path: number for number, path in enumerate(made.body_label) if "/env_0/" in path}
+        of_joints = {path: number for number, path in enumerate(made.joint_label) if "/env_0/" in path}
+        children, q, qd = (getattr(made, f"joint_{word}").numpy() for word in ("child", "q_start", "qd_start"))
+        bodies = np.full(model.nbody, -1, dtype=np.int64)
+        joints, at_q, at_qd = (np.full(model.njnt, -1, dtype=np.int64) for _ in range(3))
+        for tree in plan.trees:
+            for link in tree.links:
+                if link.body >= 0:
+                    bodies[link.body] = _ends_with(first, f"/{tree.prim}/{link.prim}")
+            own = {joint: f"/{plan.joint_prims[joint]}" for joint in tree.joints()}
+            for joint, name in own.items():
+                joints[joint] = _ends_with({p: n for p, n in of_joints.items() if f"/{tree.prim}/" in p}, name)
+            if tree.free >= 0:
+                (joints[tree.free],) = np.flatnonzero(children == bodies[tree.links[0].body])
+        at_q[:], at_qd[:] = q[joints], qd[joints]
+        return Places(None, bodies, joints, at_q, at_qd, self.compiled.layout)  # type: ignore[arg-type]
+
+    def _added(self) -> Sequence[str]:
+        return [link.prim for link in self._added_links()]
+
+    def _added_links(self) -> list[Link]:
+        return [link for tree in self.plan.trees for link in tree.links if link.body < 0 and link.parent >= 0]
+
+    def deviations(self, options: PhysxOptions, *, gpu: bool) -> list[Deviation]:
+        """What the solver has otherwise than MuJoCo compiles the file, read from it."""
+        return [*deviations_of_solver(self._solver, self._places, self.compiled.model, _REASON), *self._of_links()]
+
+    def _of_links(self) -> Iterator[Deviation]:
+        model = self.compiled.model
+        if added := self._added_links():
+            several = [model.body(b).name or f"body{b}" for b in np.flatnonzero(model.body_jntnum > 1)]
+            yield Deviation(
+                "bodies.added", f"the bodies of {self._file}", f"{len(added)} more",
+                f"a link of a USD articulation has one joint, so that between the joints of {few(several, _NAMED)} are "
+                f"links with a share of {ADDED_SHARE:g} of the body's mass",
+            )  # fmt: skip
+        if model.nu:
+            yield Deviation(
+                "actuators", "MuJoCo's", "targets and gains of Isaac Lab's implicit actuators, and forces",
+                "the recorder makes them of the controls; their sum for a joint is the same",
+            )  # fmt: skip
+
+    def imported(self, dt: float) -> Imported:
+        """What the solver holds."""
+        made = self._solver.mj_model
+        quantities = quantities_of_solver(self._solver, self._places, self.compiled.model)
+        masses = {}
+        for link in self._added_links():
+            (number,) = [b for b in range(made.nbody) if made.body(b).name.endswith(link.prim)]
+            masses[link.prim] = float(made.body_mass[number])
+        found = imported_of(self.plan, Held(quantities, masses), dt=dt)
+        unread = {key: why for key, why in found.unread.items() if key not in found.values}
+        return replace(found, unread={key: _COMPARED if "PhysX" in why else why for key, why in unread.items()})
+
+
+def _ends_with(places: dict[str, int], end: str) -> int:
+    found = [number for path, number in places.items() if path.endswith(end)]
+    if len(found) != 1:
+        raise GsbError(f"Newton has {len(found)} of what the stage calls {end}")
+    return found[0]
