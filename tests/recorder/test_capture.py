@@ -234,7 +234,7 @@ def test_arrays_are_what_was_declared(tmp_path: Path, spoil: object) -> None:
 
 
 @given(
-    n_env=st.sampled_from([1, 3, 64, 65, 130]),
+    n_env=st.sampled_from([1, 3, 64, 65, 130, 6 * 64, 9 * 64 + 5]),
     sizes=st.lists(st.integers(1, 60), min_size=1, max_size=5),
     stride=st.integers(1, 7),
     alone=st.booleans(),

@@ -37,6 +37,21 @@ def test_columns_are_those_of_the_whole_array(fed: list[int], envs: list[int], w
     assert digest.digests()[state_name(field)] == expected.hexdigest()
 
 
+@given(st.integers(0, 20), st.integers(1, 9), st.integers(1, 40), st.integers(0, 30), st.sampled_from([1, 3, 900]))
+def test_ranges_side_by_side_are_those_of_the_whole_array(
+    rows: int, ranges: int, envs: int, rest: int, width: int
+) -> None:
+    """Ranges of one size in one array, and a smaller one behind them, rows of less and more than is copied at once."""
+    n_env = ranges * envs + rest
+    field, digest, rows = field_of(width), ContentDigest(), min(rows, len(BITS) // (n_env * width))
+    whole = BITS[: rows * n_env * width].view("<f4").reshape(rows, n_env, 1, width)
+    even = whole[:, : ranges * envs].reshape(rows, ranges, envs, 1, width).swapaxes(0, 1).copy()
+    last = whole[np.newaxis, :, ranges * envs :].copy()
+    digest.state_ranges(field, n_env, [even, last] if rest else [even])
+    expected = hashlib.sha256(f"{field.dtype} {n_env} 1 {width}\n".encode() + whole.tobytes())
+    assert digest.digests()[state_name(field)] == expected.hexdigest()
+
+
 @pytest.mark.parametrize("width", [1, 3000])
 def test_columns_of_other_lengths_are_refused(width: int) -> None:
     """A row that a range of environments lacks is none of the identity."""
