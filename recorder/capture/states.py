@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -164,9 +164,13 @@ class StateWriter:
             found = found or problem
         return found
 
-    def take(self, block: Captured) -> str | None:
+    def take(self, block: Captured, meanwhile: Callable[[], None] = lambda: None) -> str | None:
         """The same of a block that an engine made, of at most `steps_per_block` steps; its arrays are not needed when
-        this returns."""
+        this returns.
+
+        meanwhile  begins work of other threads on the same block, once theirs on its states is begun; what it raises
+                   leaves the file without a good end
+        """
         first = self.last_step + 1
         keep = slice(-first % self._stride, None, self._stride)
         if len(self._starts) > 1 and not self._buffers:
@@ -189,18 +193,21 @@ class StateWriter:
                 self._held[-1] = [tuple(array.copy() for array in states) for states in kept]
             # in this order: a file is written by one thread, which must not wait for hashes that others make meanwhile
             with self._sink.parting():  # states and their hashes, too
-                found = self._write_and_look(groups, first, whole=whole)
+                found = self._write_and_look(groups, first, meanwhile, whole=whole)
         if not found:
             return None
         row, env, what = min(found)
         return f"a state is not finite: step {first + row}, env {env}, {what}"
 
-    def _write_and_look(self, groups: Sequence[States], first: int, *, whole: bool) -> list[tuple[int, int, str]]:
+    def _write_and_look(
+        self, groups: Sequence[States], first: int, meanwhile: Callable[[], None], *, whole: bool
+    ) -> list[tuple[int, int, str]]:
         # rows that are held back where they are a whole block, and hashes of the new rows; what of them is not finite
         rows = groups[0][0].shape[1]
         writing = self._begin_writing(just_read=rows if len(self._held) == self._stride == 1 else 0) if whole else None
         pieces = self._pieces(groups)
         looked_at = self.workers.start(self._look, pieces)
+        meanwhile()
         if writing:
             self._end_writing(writing)
         hashes = np.empty((rows, self._n_env), dtype=np.uint64)
