@@ -153,7 +153,7 @@ def test_a_forged_file_is_named_and_the_rest_evaluated(forgery: str, tmp_path: P
 
 def test_hashes_that_are_not_of_the_states(gsb_eval: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Refuse hashes that call different environments equal, also where the digests are taken on trust."""
-    monkeypatch.setattr(states, "fingerprint", lambda arrays: np.zeros(arrays[0].shape[:2], dtype=np.uint64))
+    monkeypatch.setattr(states, "fingerprint", lambda arrays: np.zeros(arrays[0].shape[:-2], dtype=np.uint64))
     final = grid(3)
     final[1] += 0.1
     path = write_recording(tmp_path, final)
