@@ -52,6 +52,25 @@ def test_ranges_side_by_side_are_those_of_the_whole_array(
     assert digest.digests()[state_name(field)] == expected.hexdigest()
 
 
+def test_ranges_side_by_side_take_a_call_a_megabyte(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let go of the interpreter's lock once a megabyte: a thread that launches kernels waits whenever it is taken."""
+    sizes: list[int] = []
+
+    class Counted:
+        def __init__(self, data: bytes) -> None:
+            self._hash = sha256(data)
+
+        def update(self, data: memoryview) -> None:
+            sizes.append(len(data))
+            self._hash.update(data)
+
+    sha256 = hashlib.sha256
+    monkeypatch.setattr(hashlib, "sha256", Counted)
+    ranges = BITS[: 64 * 16 * 10 * 100].view("<f4").reshape(64, 10, 16, 1, 100)
+    ContentDigest().state_ranges(field_of(100), 64 * 16, [ranges])
+    assert sizes == [819200] * 5
+
+
 @pytest.mark.parametrize("width", [1, 3000])
 def test_columns_of_other_lengths_are_refused(width: int) -> None:
     """A row that a range of environments lacks is none of the identity."""
