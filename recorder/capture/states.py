@@ -14,7 +14,7 @@ from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import encode_fingerprints, little_endian, state_parts
+from gpusimbench.schemas.blocks import encode_fingerprints, fingerprint_parts, little_endian, state_parts
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import ALGORITHM, fingerprint
@@ -63,6 +63,11 @@ def write_fingerprints(
     sink.write(topics.fingerprint(phase), data, sim_ns=sim_time_ns(first_step, dt))
 
 
+def hash_messages(hashes: NDArray[np.uint64], *, first_step: int) -> Sequence[tuple[Part, ...]]:
+    """State hashes [step, env] of consecutive steps."""
+    return [fingerprint_parts(hashes, first_step=first_step, stride=1)]
+
+
 class _Piece(NamedTuple):
     """A part of a block that one thread looks at: some steps of some ranges of environments of the same size.
 
@@ -72,6 +77,10 @@ class _Piece(NamedTuple):
     states: States
     first_row: int
     first_env: int
+
+
+_Looked = tuple[NDArray[np.uint64], list[tuple[int, int, str]]]
+"""Hashes [step, env] of a piece, and where it is not finite: step, environment, and the name of the place."""
 
 
 class _Writing(NamedTuple):
@@ -207,18 +216,30 @@ class StateWriter:
         writing = self._begin_writing(just_read=rows if len(self._held) == self._stride == 1 else 0) if whole else None
         pieces = self._pieces(groups)
         looked_at = self.workers.start(self._look, pieces)
+        hashed = self.workers.start(lambda _: self._gather(pieces, looked_at, rows, first), (0,))
         meanwhile()
         if writing:
             self._end_writing(writing)
+        messages, found = next(iter(hashed))
+        for message in messages:
+            self._sink.write_parts(topics.fingerprint("capture"), message, sim_ns=sim_time_ns(first, self._dt))
+        self._sink.flush()
+        return found
+
+    def _gather(
+        self, pieces: Sequence[_Piece], looked_at: Iterable[_Looked], rows: int, first: int
+    ) -> tuple[Sequence[tuple[Part, ...]], list[tuple[int, int, str]]]:
+        # the messages of a block's hashes, digested, and what is not finite
         hashes = np.empty((rows, self._n_env), dtype=np.uint64)
         found = []
         for piece, (some, not_finite) in zip(pieces, looked_at, strict=True):
             stop, envs = piece.first_row + some.shape[0], piece.first_env + some.shape[1]
             hashes[piece.first_row : stop, piece.first_env : envs] = some
             found += not_finite
-        write_fingerprints(self._sink, "capture", hashes, first_step=first, stride=1, dt=self._dt)
-        self._sink.flush()
-        return found
+        messages = hash_messages(hashes, first_step=first)
+        for message in messages:
+            self._sink.digest.message(topics.fingerprint("capture"), *(part.data for part in message))
+        return messages, found
 
     def flush(self) -> None:
         """Write the rows that are held back for a full block."""
@@ -309,7 +330,7 @@ class StateWriter:
             for row in range(0, rows, size)
         ]
 
-    def _look(self, piece: _Piece) -> tuple[NDArray[np.uint64], list[tuple[int, int, str]]]:
+    def _look(self, piece: _Piece) -> _Looked:
         # hashes [step, env], and for each field the first number that is not finite: its step, environment and place
         ranges, rows, envs = piece.states[0].shape[:3]
         found = []
