@@ -56,7 +56,7 @@ def main() -> None:
     streams = Streams.usual(a.n_env)
     held = drawn.draw(0, n_env=a.n_env, first_step=0, n_step=_BLOCK)
     arrays = _NotDescribed(drawn.name, drawn.joints, drawn.lower, drawn.upper)
-    workers = Workers(alone=False)
+    workers = Workers(small=False)
 
     def written(folder: Path, actions: JointTargets, engine: bool) -> tuple[Cost, dict[str, str]]:
         def of_block(envs: range) -> NDArray[np.float32]:

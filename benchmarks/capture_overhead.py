@@ -6,13 +6,18 @@ usage: python -m benchmarks.capture_overhead [--sim mujoco] [--scene inclined-co
 Each recording steps twice from the same initial state: timed, with nothing captured, and captured. The ratio is that of
 the two. "stand still" is the part of the capture in which the engine waited for the writer, "then writing" what was
 left to write after the last step, as a part of the capture. "memory" is by how much the process grew while capturing.
+"disk" is the time that one thread takes to write as many bytes as the recording has into the same folder with os.write,
+right after it, over the time of the timed steps: no capture in which the engine goes on can be faster. "flushed" adds
+fdatasync, which a capture waits for at its end alone.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +27,8 @@ from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording
 from gpusimbench.recorder.capture.states import row_bytes
+
+_PIECE = 4 << 20  # bytes, as the largest messages have
 
 MODES = {
     "lossless": ("--capture", "lossless"),
@@ -39,6 +46,7 @@ class Cost:
     writing time after the last step, over that of the capture
     rate    states [MB/s]
     grown   resident set, largest of the capture phase minus that at its begin [MB]
+    timed   time of the same steps, without capture [s]
     same    whether the states after the last step are those of the timed phase, bit for bit; None: not deterministic
     """
 
@@ -47,6 +55,7 @@ class Cost:
     writing: float
     rate: float
     grown: float
+    timed: float
     same: bool
 
 
@@ -66,8 +75,41 @@ def cost_of(path: Path) -> Cost:
         writing=timing["drain"].elapsed_s / captured,
         rate=c.steps // c.stride * row_bytes(c.n_env, recording.fields) / captured / 1e6,
         grown=(max(used) - used[0]) / 1e6,
+        timed=timing["timed"].elapsed_s,
         same=bool(np.array_equal(timed_hashes.hashes[-1], hashes.hashes[-1])),
     )
+
+
+@dataclass(frozen=True)
+class Disk:
+    """What the folder takes, over the timed steps' time.
+
+    written  time of os.write for the recording's size
+    flushed  the same and fdatasync
+    rate     of os.write [MB/s]
+    """
+
+    written: float
+    flushed: float
+    rate: float
+
+
+def disk_of(path: Path, timed: float) -> Disk:
+    """Write as many bytes beside a recording, in its largest messages' size; `timed` [s]."""
+    size, piece = path.stat().st_size, memoryview(os.urandom(_PIECE))
+    beside = path.with_name(path.name + ".disk")
+    descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
+    try:
+        began, left = time.perf_counter(), size
+        while left:
+            left -= os.write(descriptor, piece[: min(left, _PIECE)])
+        written = time.perf_counter() - began
+        os.fdatasync(descriptor)
+        flushed = time.perf_counter() - began
+    finally:
+        os.close(descriptor)
+        beside.unlink()
+    return Disk(written / timed, flushed / timed, size / written / 1e6)
 
 
 def main() -> None:
@@ -81,6 +123,7 @@ def main() -> None:
     a = p.parse_args()
     options = [word for option in a.option for word in ("--option", option)]
     found: dict[str, list[Cost]] = {mode: [] for mode in a.modes.split(",")}
+    disks: dict[str, list[Disk]] = {mode: [] for mode in found}
     with tempfile.TemporaryDirectory() as name:
         for _ in range(a.rounds):
             for mode, costs in found.items():
@@ -95,6 +138,7 @@ def main() -> None:
                 if done.returncode:
                     sys.exit(f"{mode}: the run did not complete")
                 costs.append(cost_of(path))
+                disks[mode].append(disk_of(path, costs[-1].timed))
                 device = open_recording(path).simulation
                 if a.out is None:
                     path.unlink()
@@ -108,6 +152,11 @@ def main() -> None:
         print(f"{'':9} then writing            {spread([c.writing for c in costs])}")
         print(f"{'':9} states [MB/s]           {spread([c.rate for c in costs], 0)}")
         print(f"{'':9} memory [MB]             {spread([c.grown for c in costs], 0)}")
+        print(f"{'':9} disk / timed            {spread([d.written for d in disks[mode]])}")
+        print(f"{'':9} disk, flushed / timed   {spread([d.flushed for d in disks[mode]])}")
+        print(f"{'':9} disk [MB/s]             {spread([d.rate for d in disks[mode]], 0)}")
+        ratios = [c.ratio / d.written for c, d in zip(costs, disks[mode], strict=True)]
+        print(f"{'':9} capture / disk          {spread(ratios)}")
         print(f"{'':9} same last state         {sum(c.same for c in costs)} of {len(costs)}")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -44,9 +45,9 @@ _fill: Callable[..., None] | None = None
 
 def expect(size: int) -> None:
     """Actions of `size` bytes are going to be drawn by this process: from COMPILED_BYTES on by machine code, where
-    numba is installed. They are the same."""
+    numba is installed, and from a tenth of that on where it is loaded anyway. They are the same."""
     global _fill
-    if size >= COMPILED_BYTES:
+    if size >= (COMPILED_BYTES // 10 if "numba" in sys.modules else COMPILED_BYTES):
         with suppress(ImportError):  # Pythons of engines have no numba
             from gpusimbench.schemas.action_generator_compiled import fill
 

@@ -114,16 +114,18 @@ def _parts(name: str, array: NDArray[Any], sides: Sequence[str], **small: int) -
     return Part(header.SerializeToString() + head), Part(payload, crc)
 
 
-def encode_fingerprints(hashes: NDArray[np.uint64], *, first_step: int, stride: int, env_start: int = 0) -> bytes:
-    """A serialised FingerprintBlock from hashes [step, env]."""
-    hashes = little_endian(hashes)
+def encode_fingerprints(hashes: NDArray[np.uint64], **where: int) -> bytes:
+    """A serialised FingerprintBlock of what `fingerprint_parts` takes."""
+    return b"".join(part.data for part in fingerprint_parts(hashes, **where))
+
+
+def fingerprint_parts(hashes: NDArray[np.uint64], **where: int) -> tuple[Part, Part]:
+    """A FingerprintBlock from hashes [step, env], as of `state_parts`; where: first_step, stride and env_start."""
     steps, envs = hashes.shape
-    header = message_class(_FINGERPRINT)(
-        first_step=first_step, steps=steps, stride=stride, env_start=env_start, envs=envs
-    )
-    payload = raw_bytes(hashes)
+    header = message_class(_FINGERPRINT)(steps=steps, envs=envs, **where)
+    payload = raw_bytes(little_endian(hashes))
     head = wire.delimited_head(_number(_FINGERPRINT, "hashes"), len(payload))
-    return b"".join((header.SerializeToString(), head, payload))
+    return Part(header.SerializeToString() + head), Part(payload, zlib.crc32(payload))
 
 
 @dataclass(frozen=True)

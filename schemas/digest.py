@@ -38,6 +38,7 @@ def state_name(field: StateField) -> str:
 
 
 _JOINED_BYTES = 64 << 10
+_GATHERED_BYTES = 1 << 20
 _LENGTH = struct.Struct("<Q")
 
 
@@ -60,11 +61,7 @@ class ContentDigest:
 
         Different fields may be fed by different threads.
         """
-        name = state_name(field)
-        if name not in self._hashes:
-            line = f"{field.dtype} {n_env} {len(field.items)} {field.width}\n"
-            self._hashes[name] = hashlib.sha256(line.encode())
-        digest = self._hashes[name]
+        digest = self._of(field, n_env)
         arrays = [little_endian(column) for column in columns]
         if len(arrays) == 1:
             digest.update(raw_bytes(arrays[0]))
@@ -78,6 +75,32 @@ class ContentDigest:
         for row in zip(*arrays, strict=True):
             for part in row:
                 digest.update(raw_bytes(part))
+
+    def state_ranges(self, field: StateField, n_env: int, parts: Sequence[NDArray[Any]]) -> None:
+        """The same, of arrays [range, step, env, item, width], each of them ranges of one size that follow each other.
+
+        Rows are copied together into a megabyte, in two calls a megabyte: each call lets go of the interpreter's lock,
+        and taking it again keeps a thread that launches kernels from going on. Parts of ranges are thousands of calls.
+        """
+        digest = self._of(field, n_env)
+        steps = parts[0].shape[1]
+        row = sum(part[:, :1].nbytes for part in parts)
+        envs = np.cumsum([0, *(part.shape[0] * part.shape[2] for part in parts)])
+        together = max(1, min(steps, _GATHERED_BYTES // max(1, row)))
+        gathered = np.empty((together, envs[-1], *parts[0].shape[3:]), dtype=parts[0].dtype.newbyteorder("<"))
+        for begin in range(0, steps, together):
+            rows = gathered[: min(together, steps - begin)]
+            for part, first, stop in zip(parts, envs, envs[1:], strict=False):
+                some = part[:, begin : begin + len(rows)].swapaxes(0, 1)
+                np.copyto(rows[:, first:stop].reshape(some.shape), some)
+            digest.update(raw_bytes(rows))
+
+    def _of(self, field: StateField, n_env: int) -> Any:
+        name = state_name(field)
+        if name not in self._hashes:
+            line = f"{field.dtype} {n_env} {len(field.items)} {field.width}\n"
+            self._hashes[name] = hashlib.sha256(line.encode())
+        return self._hashes[name]
 
     def message(self, topic: str, *parts: Buffer) -> None:
         """Add the next message of any other topic: its bytes, or the parts that they consist of.

@@ -63,6 +63,10 @@ class ActionWriter:
 
     def write(self, drawn: Actions, told: Told, first_step: int) -> None:
         """Actions of consecutive steps, the first of them leading on from the state of `first_step`."""
+        self.begin(drawn, told, first_step)()
+
+    def begin(self, drawn: Actions, told: Told, first_step: int) -> Callable[[], None]:
+        """The same, by what is returned; other threads, where there are any, begin now, and feed the digests."""
         time = sim_time_ns(first_step, self._dt)
         digested: list[range] = []
 
@@ -77,17 +81,26 @@ class ActionWriter:
                 return [Part(generated_action(parts, self._streams.of(envs), envs.start))]
             return parts
 
-        try:
-            for envs, parts in zip(self._blocks, self._workers.start(encoded, self._blocks), strict=True):
+        begun = None if self._workers.alone else self._workers.start(encoded, self._blocks)
+
+        def end() -> None:
+            blocks = self._workers.start(encoded, self._blocks) if begun is None else begun
+            for envs, parts in zip(self._blocks, blocks, strict=True):
                 self._sink.write_parts(topics.action(self._name, envs.start), parts, sim_ns=time)
-        except DataLost:
-            raise
-        except Exception as error:
-            if not digested and self._workers.alone:
+            self._sink.flush()
+
+        def whole() -> None:
+            try:
+                end()
+            except DataLost:
                 raise
-            # some are digested, or will be by other threads, and not written
-            raise self._sink.lost(error) from error
-        self._sink.flush()
+            except Exception as error:
+                if not digested and begun is None:
+                    raise
+                # some are digested, or will be by other threads, and not written
+                raise self._sink.lost(error) from error
+
+        return whole
 
 
 def _same_bits(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:

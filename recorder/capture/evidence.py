@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +58,10 @@ class EvidenceWriter:
 
     def feed(self, evidence: Evidence, *, first_step: int) -> list[str]:
         """Write rows, the first of them of `first_step`; returns the gates that fired anew, one sentence each."""
-        time = sim_time_ns(first_step, self._dt)
-        if unknown := evidence.counts.keys() - self._counters.keys():
-            raise ValueError(f"evidence counts '{min(unknown)}', which the simulator's description does not name")
+        return self.begin(evidence, first_step=first_step)()
+
+    def begin(self, evidence: Evidence, *, first_step: int) -> Callable[[], list[str]]:
+        """The same, by what is returned; other threads, where there are any, begin now."""
 
         def summary(counts: NDArray[np.integer]) -> bytes:
             message = message_class("gsb.v1.StepCounts")(
@@ -72,7 +73,19 @@ class EvidenceWriter:
             )
             return bytes(message.SerializeToString())
 
-        summaries = self._workers.start(summary, list(evidence.counts.values()))
+        counts = list(evidence.counts.values())
+        begun = None if self._workers.alone else self._workers.start(summary, counts)
+
+        def end() -> list[str]:
+            summaries = self._workers.start(summary, counts) if begun is None else begun
+            return self._write(evidence, summaries, first_step=first_step)
+
+        return end
+
+    def _write(self, evidence: Evidence, summaries: Iterable[bytes], *, first_step: int) -> list[str]:
+        time = sim_time_ns(first_step, self._dt)
+        if unknown := evidence.counts.keys() - self._counters.keys():
+            raise ValueError(f"evidence counts '{min(unknown)}', which the simulator's description does not name")
         for name, data in zip(evidence.counts, summaries, strict=True):
             self._sink.write(topics.count(self._phase, name), data, sim_ns=time)
         if evidence.overflow is None or not self._has_overflow:

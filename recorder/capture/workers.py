@@ -6,9 +6,11 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from typing import TypeVar
 
 _MOST = 6  # more of them wait for the interpreter rather than work
+_SHARES = 4  # of a thread: each is handed over once, for which both threads take the interpreter several times
 
 _S = TypeVar("_S")
 _T = TypeVar("_T")
@@ -44,7 +46,9 @@ class Workers:
         """Begin the work on all items; the results in order, each once it is there."""
         if self.alone:
             return [work(item) for item in items]
+        count = max(2, min(_MOST, len(os.sched_getaffinity(0)) // 2))
         if self._threads is None:
-            count = max(2, min(_MOST, len(os.sched_getaffinity(0)) // 2))
             self._threads = ThreadPoolExecutor(count, thread_name_prefix="capture")
-        return self._threads.map(work, items)
+        size = -(-len(items) // (count * _SHARES)) or 1
+        shares = [items[at : at + size] for at in range(0, len(items), size)]
+        return chain.from_iterable(self._threads.map(lambda share: [work(item) for item in share], shares))

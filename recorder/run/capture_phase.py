@@ -93,12 +93,24 @@ class CapturePhase:
                 raise ValueError(
                     f"the simulator gave states up to step {writer.last_step}, then from {block.first_step} on"
                 )
+            shown = block.captured.evidence() if block.first_step > c.first_step else None
+            act: Callable[[], None] | None = None
+            count: Callable[[], list[str]] | None = None
+
+            def begin() -> None:
+                # while this thread writes the states, others draw and digest the actions and add up the counts
+                nonlocal act, count
+                if block.actions is not None and actions is not None:
+                    act = actions.begin(block.actions, block.captured.actions, block.first_step - 1)
+                if shown is not None:
+                    count = counted.begin(shown, first_step=block.first_step)
+
             # before the actions: a file that is cut short has hashes of every step whose actions it has
-            problem = writer.take(block.captured)
-            if block.actions is not None and actions is not None:
-                actions.write(block.actions, block.captured.actions, block.first_step - 1)
-            if block.first_step > c.first_step:
-                self._journal.count(block.captured.evidence(), counted, block.first_step)
+            problem = writer.take(block.captured, begin)
+            if act is not None:
+                act()
+            if count is not None:
+                self._journal.counted(count())
             if problem:
                 problems.append(problem)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -71,8 +71,12 @@ class Journal:
     def count(self, found: Evidence | None, counted: EvidenceWriter, first_step: int) -> None:
         """Write what the engine counted from `first_step` on, and note buffers that overflowed."""
         if found is not None:
-            for fired in counted.feed(found, first_step=first_step):
-                self.gate(fired, "BUFFER")
+            self.counted(counted.feed(found, first_step=first_step))
+
+    def counted(self, fired: Sequence[str]) -> None:
+        """Note buffers that overflowed, a sentence each."""
+        for gate in fired:
+            self.gate(gate, "BUFFER")
 
     def clocked(self, what: str, work: Callable[[], _T]) -> _T:
         """The result of some work, whose duration is written; `what` is "build", "compile_timed"..."""

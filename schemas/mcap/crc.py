@@ -16,12 +16,43 @@ _ONE = 1 << 31
 
 def combine(first: int, second: int, size: int) -> int:
     """CRC of two parts one after another, from theirs; `size` is that of the second [byte]."""
-    return _times(_shift(size), first) ^ second
+    return _moved(first, size) ^ second
 
 
 def second(both: int, first: int, size: int) -> int:
     """CRC of the second of two parts, from those of both together and of the first; `size` is its own [byte]."""
-    return both ^ _times(_shift(size), first)
+    return both ^ _moved(first, size)
+
+
+def _moved(crc: int, size: int) -> int:
+    # times x^(8 size): a sum over the crc's eight groups of four bits
+    a, b, c, d, e, f, g, h = _products(size)
+    return (
+        a[crc & 15] ^ b[crc >> 4 & 15] ^ c[crc >> 8 & 15] ^ d[crc >> 12 & 15]
+        ^ e[crc >> 16 & 15] ^ f[crc >> 20 & 15] ^ g[crc >> 24 & 15] ^ h[crc >> 28]
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=1024)
+def _products(size: int) -> tuple[tuple[int, ...], ...]:
+    # x^(8 size) times each number of four bits, by the group in which they stand, the lowest first; blocks of a
+    # recording have few different sizes
+    product = _shift(size)
+    single = []  # times one bit, the highest first
+    for _ in range(32):
+        single.append(product)
+        product = _times_x(product)
+    groups = []
+    for lowest in range(0, 32, 4):
+        row = [0]
+        for bit in range(lowest, lowest + 4):
+            row += [known ^ single[31 - bit] for known in row]
+        groups.append(tuple(row))
+    return tuple(groups)
+
+
+def _times_x(b: int) -> int:
+    return b >> 1 ^ (_POLYNOMIAL if b & 1 else 0)
 
 
 def _times(a: int, b: int) -> int:
@@ -30,14 +61,13 @@ def _times(a: int, b: int) -> int:
     while bit:
         if a & bit:
             product ^= b
-        b = b >> 1 ^ (_POLYNOMIAL if b & 1 else 0)
+        b = _times_x(b)
         bit >>= 1
     return product
 
 
-@lru_cache(maxsize=1024)
 def _shift(size: int) -> int:
-    # x^(8 size); blocks of a recording have few different sizes
+    # x^(8 size)
     result, power, left = _ONE, _ONE >> 8, size
     while left:
         if left & 1:

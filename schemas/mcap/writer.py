@@ -5,8 +5,9 @@ joined or copied. Small messages share a chunk. A CRC that is known already, suc
 those of its chunk and of the data section without the bytes being read again.
 
 Schemas and channels are records of the data section itself, ahead of the chunks that use them, so that a file that was
-cut short is read from its beginning without a summary. What ``message`` was given in a large message, and all that came
-before it, has reached the operating system when it returns.
+cut short is read from its beginning without a summary. What ``message`` was given as the bytes of a large message, and
+all that came before it, has reached the operating system when it returns; large messages in parts are handed over
+several together, at ``flush`` at the latest.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from gpusimbench.schemas.mcap.declarations import NewDeclarations
 from gpusimbench.schemas.mcap.records import INDEX_ENTRY, MAGIC, Op, Record
 
 _CHUNK_BYTES = 128 * 1024
+_TOGETHER_BYTES = 8 << 20  # of large messages, handed over in one call: each lets go of the interpreter's lock
+_TOGETHER_PIECES = 512  # half of what the operating system takes in one call
 
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
@@ -119,6 +122,8 @@ class McapWriter:
         self._last_time = 0
         self._waiting: list[_Message] = []  # small messages of the open chunk
         self._waiting_bytes = 0
+        self._queue: list[memoryview] = []  # whole records, the last before _offset
+        self._queued = 0  # bytes of them
         self._append(MAGIC + _record(Op.HEADER, _text(profile) + _text(library)))
 
     def schema(self, name: str, encoding: str, data: bytes) -> int:
@@ -153,8 +158,8 @@ class McapWriter:
         self._first_time = log_time if self._first_time is None else min(self._first_time, log_time)
         self._last_time = max(self._last_time, log_time)
         if message.size >= _CHUNK_BYTES:
-            self.flush()
-            self._write_chunk([message])
+            self._end_chunk()
+            self._write_chunk([message], later=parts is data)
             return
         self._waiting.append(message)
         self._waiting_bytes += message.size
@@ -162,10 +167,14 @@ class McapWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the open chunk, so that a crash loses nothing that was added."""
+        """Write the open chunk and what is held back, so that a crash loses nothing that was added."""
+        self._end_chunk()
+        self._hand_over()
+
+    def _end_chunk(self) -> None:
         if self._waiting:
             waiting, self._waiting, self._waiting_bytes = self._waiting, [], 0
-            self._write_chunk(waiting)
+            self._write_chunk(waiting, later=True)
 
     def attachment(self, name: str, media_type: str, data: bytes, *, log_time: int, create_time: int) -> None:
         """Add an attachment; times in ns."""
@@ -239,7 +248,7 @@ class McapWriter:
         )
         return _record(Op.STATISTICS, content + _U32.pack(len(counts)) + counts)
 
-    def _write_chunk(self, messages: Sequence[_Message]) -> None:
+    def _write_chunk(self, messages: Sequence[_Message], *, later: bool) -> None:
         parts = [part for message in messages for part in (Part(message.head), *message.parts)]
         size = sum(message.size for message in messages)
         if len(messages) > 1:
@@ -264,7 +273,7 @@ class McapWriter:
         index = b"".join(indexes.values())
         self._crc = combine(zlib.crc32(head, self._crc), stored_crc, stored_size)
         self._crc = zlib.crc32(index, self._crc)
-        self._write([Part(head), *stored, Part(index)])
+        self._write([Part(head), *stored, Part(index)], later=later)
         content = (
             struct.pack("<QQQQ", first, last, begin, length)
             + _U32.pack(sum(map(len, places)))
@@ -292,9 +301,18 @@ class McapWriter:
         self._crc = zlib.crc32(record, self._crc)
         self._write([Part(record)])
 
-    def _write(self, parts: Sequence[Part]) -> None:
-        left = [memoryview(part.data) for part in parts if len(part.data)]
-        size = sum(map(len, left))
+    def _write(self, parts: Sequence[Part], *, later: bool = False) -> None:
+        pieces = [memoryview(part.data) for part in parts if len(part.data)]
+        size = sum(map(len, pieces))
+        self._queue += pieces
+        self._queued += size
+        self._offset += size
+        if not later or self._queued >= _TOGETHER_BYTES or len(self._queue) >= _TOGETHER_PIECES:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        left, self._queue = self._queue, []
+        begin, self._queued = self._offset - self._queued, 0
         try:
             while left:
                 written = os.writev(self._descriptor, left)
@@ -304,9 +322,8 @@ class McapWriter:
                     left[0] = left[0][written:]
         except OSError:
             with suppress(OSError):
-                os.ftruncate(self._descriptor, self._offset)  # a file that ends with a whole record is read by all
+                os.ftruncate(self._descriptor, begin)  # a file that ends with a whole record is read by all
             raise
-        self._offset += size
 
 
 def _following(crc: int, part: Part) -> int:

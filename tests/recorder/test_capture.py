@@ -234,7 +234,7 @@ def test_arrays_are_what_was_declared(tmp_path: Path, spoil: object) -> None:
 
 
 @given(
-    n_env=st.sampled_from([1, 3, 64, 65, 130]),
+    n_env=st.sampled_from([1, 3, 64, 65, 130, 6 * 64, 9 * 64 + 5]),
     sizes=st.lists(st.integers(1, 60), min_size=1, max_size=5),
     stride=st.integers(1, 7),
     alone=st.booleans(),
@@ -265,6 +265,21 @@ def test_however_states_are_fed(
     assert writer.last_recorded_step == (len(whole[0]) - 1) // stride * stride
     sink.abandon()
     assert fingerprint(whole).shape == (first, n_env)
+
+
+def test_the_first_number_that_is_not_finite(tmp_path: Path) -> None:
+    """Name the first step, and of it the first environment that may not fail, whatever threads look at together."""
+    n_env = 6 * 64 + 5
+    fed = states(9, n_env)
+    for step, env in ((5, 3), (4, 130), (4, 386), (2, 70)):
+        fed[0][step, env] = np.nan
+    sink = Sink(tmp_path / "x.mcap", compression="none")
+    writer = StateWriter(sink, FIELDS, n_env=n_env, dt=0.01, stride=1, may_fail=frozenset({70, 130}))
+    writer.workers = Workers(small=False)
+    found = writer.take(Held(fed))
+    assert found
+    assert found.startswith("a state is not finite: step 4, env 386, ")
+    sink.abandon()
 
 
 def test_modes_give_the_same_recording(gsb_record: Command, tmp_path: Path) -> None:

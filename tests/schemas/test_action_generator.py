@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import zlib
 from typing import Any
 
@@ -23,6 +24,7 @@ from gpusimbench.schemas.action_generator import (
 )
 from gpusimbench.schemas.blocks import action_parts, decode_action, decode_state, generated_action, raw_action
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fingerprint import COMPILED_BYTES
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.mixing import GOLDEN32
 
@@ -102,6 +104,21 @@ def test_compiled_code_draws_the_same(generator: Generator, first: int, rows: in
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(action_generator, "_fill", fill)
         assert generator.draw(given_streams, first, rows).tobytes() == drawn.tobytes()
+
+
+def test_where_actions_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compile for many actions, and for fewer where the library that compiles is loaded already."""
+    pytest.importorskip("numba")
+    monkeypatch.setattr(action_generator, "_fill", None)
+    monkeypatch.delitem(sys.modules, "numba")
+    action_generator.expect(COMPILED_BYTES - 1)
+    assert action_generator._fill is None
+    monkeypatch.undo()
+    monkeypatch.setattr(action_generator, "_fill", None)
+    action_generator.expect(COMPILED_BYTES // 10 - 1)
+    assert action_generator._fill is None
+    action_generator.expect(COMPILED_BYTES // 10)
+    assert action_generator._fill is not None
 
 
 def _block(**changes: Any) -> bytes:

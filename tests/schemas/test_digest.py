@@ -37,6 +37,40 @@ def test_columns_are_those_of_the_whole_array(fed: list[int], envs: list[int], w
     assert digest.digests()[state_name(field)] == expected.hexdigest()
 
 
+@given(st.integers(0, 20), st.integers(1, 9), st.integers(1, 40), st.integers(0, 30), st.sampled_from([1, 3, 900]))
+def test_ranges_side_by_side_are_those_of_the_whole_array(
+    rows: int, ranges: int, envs: int, rest: int, width: int
+) -> None:
+    """Ranges of one size in one array, and a smaller one behind them, rows of less and more than is copied at once."""
+    n_env = ranges * envs + rest
+    field, digest, rows = field_of(width), ContentDigest(), min(rows, len(BITS) // (n_env * width))
+    whole = BITS[: rows * n_env * width].view("<f4").reshape(rows, n_env, 1, width)
+    even = whole[:, : ranges * envs].reshape(rows, ranges, envs, 1, width).swapaxes(0, 1).copy()
+    last = whole[np.newaxis, :, ranges * envs :].copy()
+    digest.state_ranges(field, n_env, [even, last] if rest else [even])
+    expected = hashlib.sha256(f"{field.dtype} {n_env} 1 {width}\n".encode() + whole.tobytes())
+    assert digest.digests()[state_name(field)] == expected.hexdigest()
+
+
+def test_ranges_side_by_side_take_a_call_a_megabyte(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let go of the interpreter's lock once a megabyte: a thread that launches kernels waits whenever it is taken."""
+    sizes: list[int] = []
+
+    class Counted:
+        def __init__(self, data: bytes) -> None:
+            self._hash = sha256(data)
+
+        def update(self, data: memoryview) -> None:
+            sizes.append(len(data))
+            self._hash.update(data)
+
+    sha256 = hashlib.sha256
+    monkeypatch.setattr(hashlib, "sha256", Counted)
+    ranges = BITS[: 64 * 16 * 10 * 100].view("<f4").reshape(64, 10, 16, 1, 100)
+    ContentDigest().state_ranges(field_of(100), 64 * 16, [ranges])
+    assert sizes == [819200] * 5
+
+
 @pytest.mark.parametrize("width", [1, 3000])
 def test_columns_of_other_lengths_are_refused(width: int) -> None:
     """A row that a range of environments lacks is none of the identity."""
