@@ -45,6 +45,9 @@ _NAME = 64
 _WRAPPED = 40
 """Characters to which names are wrapped before other columns are."""
 
+_UNBROKEN = 24
+"""Characters of a word that stand on one line: no number has more, and flags of a compiler leave no room to others."""
+
 _MOST_SIDEWAYS = 4
 _LONGEST_NAME = 32
 
@@ -173,12 +176,15 @@ def _rich_table(titles: Sequence[str], rows: Sequence[Sequence[Cell]], width: in
 def _keep_words_whole(made: RichTable, titles: Sequence[str], rows: Sequence[Sequence[Cell]], width: int) -> None:
     """Set the widths of columns where there is no room for all: rich would break words, and part of a number misleads.
 
-    Each column has room for its longest word, behind the blanks of a line that goes on; columns that need the least
-    more get it first. Where not even that fits, the table is wider than the terminal.
+    Each column has room for its longest word, up to _UNBROKEN characters, behind the blanks of a line that goes on;
+    columns that need the least more get it first. Where not even that fits, the table is wider than the terminal.
     """
     texts = [[title, *(said for row in rows for said in row[i].lines)] for i, title in enumerate(titles)][1:]
     whole = [max(cell_len(line(text)) for text in column) for column in texts]
-    words = [max((cell_len(line(word)) for text in column for word in text.split()), default=0) for column in texts]
+    words = [
+        max((min(_UNBROKEN, cell_len(line(word))) for text in column for word in text.split()), default=0)
+        for column in texts
+    ]
     least = [min(all_of, word + _GAP) for all_of, word in zip(whole, words, strict=True)]
     space = width - _GAP * len(titles)
     first = made.columns[0].width or _LEAST
@@ -198,7 +204,10 @@ def _keep_words_whole(made: RichTable, titles: Sequence[str], rows: Sequence[Seq
 def _needed(titles: Sequence[str], rows: Sequence[Sequence[Cell]]) -> int:
     """Characters that all columns but the first need at least: their longest words, with the gaps between columns."""
     columns = [[title, *(said for row in rows for said in row[i].lines)] for i, title in enumerate(titles) if i]
-    return sum(_GAP + max((len(word) for text in texts for word in text.split()), default=0) for texts in columns)
+    return sum(
+        _GAP + max((min(_UNBROKEN, len(word)) for text in texts for word in text.split()), default=0)
+        for texts in columns
+    )
 
 
 def _rich_cell(said: Cell) -> RenderableType:

@@ -321,6 +321,18 @@ def test_a_long_name_takes_no_room_that_others_need(length: int) -> None:
         assert f"[{c}-unit-of-it]" in shown
 
 
+def test_a_long_word_takes_no_room_that_others_need() -> None:
+    """Flags of XLA as notes of levels made columns two characters wide, and numbers three lines high."""
+    flag = "--xla_gpu_exclude_nondeterministic_ops=true"
+    levels = [Cell("1"), *[Cell("x 0.774", notes=(f"flags_of_level={flag}",))] * 3]
+    rows = [[f"level {i}", *["4,096 x 3"] * 12, level] for i, level in enumerate(levels)]
+    titles = ["group", *(f"environments {c}" for c in range(12)), "throughput"]
+    shown = printed(Document("", (table("t", "", titles, rows),))).splitlines()
+    assert max(map(len, shown)) <= 120
+    assert any(all(f"level {i}" in row for i in range(4)) for row in shown)
+    assert sum(row.count("4,096 x 3") for row in shown) == 4 * 12
+
+
 def test_numbers_of_a_figure_are_in_the_page_as_csv() -> None:
     drawn = Markup('<svg viewBox="0 0 1 1"><text>a</text></svg>')
     figure = Figure("a", "b", drawn, "key of it", Numbers(["x", "<y>"], [[1, 2.5], ["<b>", None]]))
