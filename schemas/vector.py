@@ -17,6 +17,9 @@ NO_SEED = "not given"
 RESET_SEEDS = "seeds"
 """The option that says what was given in place of the one seed of the first reset: seeds, one an environment."""
 
+RESET_KEYS = "rng"
+"""The option that describes JAX's keys of the first reset by their number and hash: no seed can be read from them."""
+
 PHYSICS = "physics_"
 """Begins the names of the arrays of MuJoCo's qpos and qvel, of each row's observation."""
 

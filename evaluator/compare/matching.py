@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from gpusimbench.evaluator.compare.seeds import without_seeds
+from gpusimbench.evaluator.compare.seeds import seed_of, without_seeds
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, precisions
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
@@ -139,8 +139,11 @@ def _why(group: Group[Run], others: Groups, across: Collection[str]) -> str:
 
 def _differences(base: Group[Run], head: Group[Run]) -> tuple[str, ...]:
     found: list[str] = []
+    keys = (base.key, head.key)
+    if any(len(set(map(seed_of, side.recordings))) > 1 for side in (base, head)):
+        keys = (without_seeds(base.key, base), without_seeds(head.key, head))  # a key has one seed; a note counts all
     for field in fields(GroupKey):
-        one, other = getattr(base.key, field.name), getattr(head.key, field.name)
+        one, other = (getattr(key, field.name) for key in keys)
         if one == other or "" in (base.key.version, head.key.version):
             continue  # of a run that was never built, nothing is known but what was asked
         if field.name in ("options", "switches", "conditions"):

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.groups import Group, GroupKey
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.fields import ENV
-from gpusimbench.schemas.vector import NO_SEED, RESET_SEEDS
+from gpusimbench.schemas.vector import NO_SEED, RESET_KEYS, RESET_SEEDS
 
 
 def pooled(groups: Sequence[Group[Run]]) -> list[Group[Run]]:
@@ -29,14 +29,15 @@ def without_seeds(key: GroupKey, group: Group[Run]) -> GroupKey:
     """A key of the group, of tasks without what seeds decide."""
     if not any(field.group == ENV for run in group.recordings for field in run.fields):
         return key
-    options = {name: value for name, value in json.loads(key.options or "{}").items() if name != RESET_SEEDS}
+    asked = json.loads(key.options or "{}")
+    options = {name: value for name, value in asked.items() if name not in (RESET_SEEDS, RESET_KEYS)}
     return replace(key, seed=0, options=json.dumps(options, sort_keys=True))
 
 
 def seed_of(run: Run) -> Hashable:
     """What runs must have in common to be repetitions of each other; a run without a seed is none of any other."""
-    seeds = run.configuration.options.get(RESET_SEEDS)
-    return run.provenance.run_id if seeds == NO_SEED else (run.configuration.seed, seeds)
+    seeds, keys = (run.configuration.options.get(name) for name in (RESET_SEEDS, RESET_KEYS))
+    return run.provenance.run_id if seeds == NO_SEED else (run.configuration.seed, seeds, keys)
 
 
 def seeds_said(base: Runs, head: Runs) -> list[str]:

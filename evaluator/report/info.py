@@ -24,6 +24,7 @@ from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
 from gpusimbench.schemas.treatment import VARIED, initial_words
+from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS
 
 SCHEMA_VERSION = 1
 
@@ -244,7 +245,9 @@ def _rate(rate: Rate) -> str:
 
 
 def _seed(configuration: RunConfiguration) -> str:
-    seeds = configuration.options.get("seeds")
+    seeds, keys = (configuration.options.get(name) for name in (RESET_SEEDS, RESET_KEYS))
+    if keys is not None:
+        return f"rng {keys}"
     return f"seed {configuration.seed}" if seeds is None else f"seeds {seeds}"
 
 

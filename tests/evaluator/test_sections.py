@@ -87,6 +87,23 @@ def test_throughput_has_each_group_with_the_value_and_interval_of_its_estimate(
         assert (cell.value, cell.ci95) == (estimate.value, estimate.ci95)
 
 
+def test_what_was_timed_stands_once_below_the_table(made: dict[str, Section]) -> None:
+    """Say it of a simulator where all of its groups were timed alike, and of groups where they were not."""
+    paths = [RECORDINGS / "h200" / f"{one}-inclined-collision-n16-r0.mcap" for one in ("mjx-jax", "warp")]
+    paths += sorted(
+        (RECORDINGS / "prices-h100").glob("mjx-jax-*.mcap")
+    )  # two levels, of a later version of the recorder
+    mixed = throughput.section(Source(evaluate_files(paths), False, "gsb-eval"))
+    assert isinstance(mixed, Section)
+    found = [
+        [line.partition(": ")[0] for table in tables(one) for line in table.legend if line.startswith("between the ")]
+        for one in (made["throughput"], mixed)
+    ]
+    assert found[0] == ["between the clocks, mujoco"]
+    assert len(found[1]) == 3 and "between the clocks, warp" in found[1]
+    assert "between the clocks, mjx [default], mjx [run-to-run]" in found[1]
+
+
 def test_the_summary_of_throughput_names_nobody_where_one_simulator_is_alone(made: dict[str, Section]) -> None:
     assert "mujoco" not in made["throughput"].summary
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from functools import cache, partial
 from importlib import import_module
@@ -13,6 +14,8 @@ import pytest
 from mcap.reader import make_reader
 
 from gpusimbench import UsageError, open_recording, record_rollout, verify, wrap
+from gpusimbench.evaluator.cli.compare import main as compare_command
+from gpusimbench.evaluator.cli.info import main as info_command
 from gpusimbench.evaluator.diff import compare
 from gpusimbench.evaluator.player.poses import items_of
 from gpusimbench.evaluator.read.episodes import count_episodes, episodes
@@ -133,7 +136,7 @@ def test_a_recording_has_what_bare_environments_return(steps: int, tmp_path: Pat
     assert c.options["env_wrappers"] == "AutoResetWrapper, EpisodeWrapper, VmapWrapper"
 
 
-def test_equal_keys_give_equal_files(tmp_path: Path) -> None:
+def test_equal_keys_give_equal_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Record the same for the same keys, whether steps are called or scanned; say by which keys environments began."""
     actions = drawn(60)
     for name, seed in (("a", 0), ("b", 0), ("c", 5)):
@@ -156,6 +159,16 @@ def test_equal_keys_give_equal_files(tmp_path: Path) -> None:
     assert not compare.compare(found["a"], found["c"]).bit_identical
     told = [found[name].configuration.options.get("rng") for name in ("a", "b", "c", "scan")]
     assert told[0] == told[1] != told[2] and told[3] is None
+
+    # keys are what seeds are elsewhere: not another configuration, and not seed 0
+    base, head = ([str(tmp_path / f"{name}.mcap") for name in names] for names in ("ac", "b"))
+    compare_command(["--base", *base, "--head", *head, "--no-cache", "--json", str(tmp_path / "compared.json")])
+    (configuration,) = json.loads((tmp_path / "compared.json").read_text())["compared"]
+    assert "2 seeds of base and 1 of head, 1 on both sides, are one sample" in configuration["notes"]
+    assert configuration["differs"] == []
+    capsys.readouterr()
+    assert info_command([base[0]]) == 0
+    assert f"{N_ENV} environments, dt 0.1 s, rng {told[0]}" in capsys.readouterr().out
 
 
 def test_steps_transfer_nothing(tmp_path: Path) -> None:

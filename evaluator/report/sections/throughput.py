@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
 from gpusimbench.evaluator.missing import Missing, known
@@ -56,7 +57,9 @@ def _speeds(source: Source, results: list[GroupResult]) -> Iterator[Block]:
     reasons = Reasons()
     beside = [one for one in timed.columns(r.timed for r in results) if one is not timed.SETTINGS_IN_FORCE]
     columns = [column_of(FPS, reasons, _below), *((Column(one.title), _timed(one)) for one in beside)]
-    found = of_groups(source, "throughput", "Throughput", results, columns, reasons)
+    found = of_groups(
+        source, "throughput", "Throughput", results, columns, reasons, list(_between_clocks(source, results))
+    )
     if found.rows:
         yield found
     by_scene = ordered(results, "scene")
@@ -97,8 +100,8 @@ def _timed(column: timed.Column) -> Written:
 
 
 def _below(result: GroupResult) -> Iterable[str]:
-    """What stands below a throughput: its ranges by outcome, others on the GPU, settings in force, what was timed."""
-    told, covers = words.shared(result.metrics[FPS.name]), result.metrics[FPS.name].of(Throughput).timing_covers
+    """What stands below a throughput: its ranges by outcome, others on the GPU, settings in force."""
+    told = words.shared(result.metrics[FPS.name])
     force = timed.settings(result.timed)
     if speeds := result.metrics[FPS.name].of(Throughput).speeds:
         yield f"by outcome: {speeds.ranges}"
@@ -107,8 +110,20 @@ def _below(result: GroupResult) -> Iterable[str]:
     yield from _fewer(FPS)(result)
     if force != NONE:
         yield f"{timed.SETTINGS_IN_FORCE.title}: {force}"
-    if covers:
-        yield f"between the clocks: {covers}"
+
+
+def _between_clocks(source: Source, results: list[GroupResult]) -> Iterator[str]:
+    """What was timed, once for all groups of simulators of which that is true, or for the groups that differ."""
+    of_text: dict[str, list[GroupResult]] = {}
+    for result in results:
+        of_text.setdefault(result.metrics[FPS.name].of(Throughput).timing_covers, []).append(result)
+    texts = Counter(name for of in of_text.values() for name in {r.group.key.simulator for r in of})
+    for text, of in of_text.items():
+        if text:
+            who = dict.fromkeys(
+                source.names[r.label] if texts[r.group.key.simulator] > 1 else r.group.key.simulator for r in of
+            )
+            yield f"between the clocks, {', '.join(who)}: {text}"
 
 
 def _fewer(metric: Metric) -> Callable[[GroupResult], Iterable[str]]:

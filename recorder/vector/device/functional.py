@@ -14,6 +14,7 @@ from gpusimbench.recorder.vector.device.log import DeviceLog, HostLog
 from gpusimbench.recorder.vector.ending import Ending
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.vector import RESET_KEYS
 
 _TRACED = (
     "{0} is called while JAX compiles a function (jit, vmap or scan), where a recording sees no numbers: call {0} "
@@ -114,7 +115,7 @@ class RecordedFunctional(Ending):
             layout = states.Layout(state, infos=self._infos, physics=self._physics, full=states.cut_after(self._env))
             about = replace(
                 states.about(
-                    self._env, state, {"rng": self._rng} if self._rng else {}, self._infos, physics=self._physics
+                    self._env, state, {RESET_KEYS: self._rng} if self._rng else {}, self._infos, physics=self._physics
                 ),
                 images=self._images,
             )
