@@ -380,6 +380,8 @@ class RecordingWriter:
             except BaseException:
                 self._sink.abandon()
                 raise
+            finally:
+                self._states.workers.end()
 
     def _outcome(self, error: BaseException | None) -> tuple[str, str, str]:
         if error is not None:

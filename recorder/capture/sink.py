@@ -172,7 +172,7 @@ class Sink:
             publish(self.path)
         return self.path
 
-    def lost(self, error: Exception) -> DataLost:
+    def lost(self, error: BaseException) -> DataLost:
         """The error by which the recording stops, here and wherever more is written: a file that lacks something gets
         no good end, even if the caller goes on."""
         unnamed = "out of host memory" if isinstance(error, MemoryError) else type(error).__name__
@@ -184,13 +184,19 @@ class Sink:
 
     @contextmanager
     def parting(self) -> Iterator[None]:
-        """Where digests are fed before the bytes that they are of are written: an error in between is one of `lost`."""
+        """Where digests are fed before the bytes that they are of are written: an error in between is one of `lost`.
+
+        What is no error, such as what a handler of a signal raises, leaves the file without a good end, too.
+        """
         try:
             yield
         except DataLost:
             raise
-        except Exception as error:
-            raise self.lost(error) from error
+        except BaseException as error:
+            lost = self.lost(error)
+            if isinstance(error, Exception):
+                raise lost from error
+            raise
 
     def abandon(self) -> None:
         """Close the file as it is: without an end record and under its .partial name."""
