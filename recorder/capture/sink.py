@@ -63,6 +63,7 @@ class Sink:
         self._began_ns = time.perf_counter_ns()
         self._compression = compression
         self._lost = ""  # why nothing is written any more
+        self._process = os.getpid()
         self.profile = FORMAT
 
     @cached_property
@@ -142,6 +143,16 @@ class Sink:
         self._writer.message(channel, data, log_time=log_time, publish_time=calendar_ns(), sequence=sequence)
 
     @property
+    def copied(self) -> bool:
+        """Whether this process is a copy (os.fork) of the one that records, without its threads."""
+        return os.getpid() != self._process
+
+    def check_process(self) -> None:
+        """DataLost in a copy of the process that records: what it wrote would end up among what that one writes."""
+        if self.copied:
+            raise DataLost(f"this process is a copy (os.fork) of the one that records {self.path}: it writes nothing")
+
+    @property
     def digest(self) -> ContentDigest:
         """Digests of what was written so far."""
         return self._digest
@@ -213,6 +224,7 @@ class Sink:
         """Whole writes only, and one clear message where the disk takes no more."""
         if self._lost:
             raise DataLost(self._lost)
+        self.check_process()
         try:
             with shielded():
                 yield
