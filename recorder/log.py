@@ -267,8 +267,9 @@ class RecordingWriter:
 
         An array of environments (schemas.fields.array_field) is given in its own shape, [env, ...] or [step, env, ...].
         The very first is the state at step 0. Numbers are recorded as they are, so that the dtype is the field's.
-        UsageError for other shapes, another dtype, and more states than were announced.
+        UsageError for other shapes, another dtype, and more states than were announced; DataLost in a forked process.
         """
+        self._sink.check_process()
         fields = self._simulation.fields
         if len(arrays) != len(fields):
             raise UsageError(f"there are {len(fields)} fields, and {len(arrays)} arrays were given")
@@ -364,8 +365,10 @@ class RecordingWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End the recording. DataLost where the file cannot be written."""
+        """End the recording, in the process that began it alone. DataLost where the file cannot be written."""
         self._within = False
+        if self._sink.copied:
+            return
         with postponed():
             try:
                 if isinstance(error, DataLost):
@@ -380,6 +383,8 @@ class RecordingWriter:
             except BaseException:
                 self._sink.abandon()
                 raise
+            finally:
+                self._states.workers.end()
 
     def _outcome(self, error: BaseException | None) -> tuple[str, str, str]:
         if error is not None:

@@ -51,11 +51,12 @@ def compare_episodes(base: Runs, head: Runs, settings: Settings) -> Sequence[tup
     except NothingComparable as error:
         return [(Axis.EPISODES, not_compared(Axis.EPISODES, RETURN, _TITLES[RETURN], str(error)))]
     n = (len(base), len(head))
-    formed = pairs_of(other, one).formed
+    formed, of_seeds = pairs_of(other, one).formed, _alike_by_seed((one, base), (other, head))
     asked = []
     for name, before, after in _quantities(one, other):
         was, now = _by_env(before, base), _by_env(after, head)
-        asked.append((_AXES[name], _compared(name, was, now, n, settings, together=formed and len(was) == len(now))))
+        together = of_seeds or (formed and len(was) == len(now))
+        asked.append((_AXES[name], _compared(name, was, now, n, settings, together=together)))
     return asked
 
 
@@ -73,10 +74,26 @@ def _quantities(one: Episodes, other: Episodes) -> list[tuple[str, Values, Value
 
 def _by_env(values: Values, runs: Runs) -> Values:
     """Values [env, episode] of independent environments: means over the runs that began with the same seeds."""
-    by_seed: dict[Hashable, list[Values]] = {}
+    return np.concatenate([np.mean(alike, axis=0) for alike in _by_seed(values, runs).values()])
+
+
+def _alike_by_seed(base: tuple[Episodes, Runs], head: tuple[Episodes, Runs]) -> bool:
+    """Whether all runs of both sides that have a seed in common began alike, and both sides have the same seeds: then
+    episodes of one place of `_by_env` are pairs, however many runs each seed has."""
+    if base[0].starts.dtype != head[0].starts.dtype:
+        return False
+    one, other = (_by_seed(side.starts, runs) for side, runs in (base, head))
+    return list(one) == list(other) and all(
+        np.array_equal(first[0], run) for seed, first in one.items() for run in (*first, *other[seed])
+    )
+
+
+def _by_seed(values: NDArray[Any], runs: Runs) -> dict[Hashable, list[NDArray[Any]]]:
+    """What each run has of rows [env, ...], by seed."""
+    found: dict[Hashable, list[NDArray[Any]]] = {}
     for run, of_run in zip(runs, np.split(values, len(runs)), strict=True):
-        by_seed.setdefault(seed_of(run), []).append(of_run)
-    return np.concatenate([np.mean(alike, axis=0) for alike in by_seed.values()])
+        found.setdefault(seed_of(run), []).append(of_run)
+    return found
 
 
 def _compared(

@@ -45,6 +45,8 @@ def seeds_said(base: Runs, head: Runs) -> list[str]:
     n, m = (len(set(map(seed_of, runs))) for runs in (base, head))
     shared = len({*map(seed_of, base)} & {*map(seed_of, head)})
     said = f"{plural(n, 'seed')} of base and {m} of head, {shared} on both sides, are one sample"
+    if any(run.configuration.options.get(RESET_SEEDS) == NO_SEED for run in (*base, *head)):
+        said += "; each run without a seed counts as another seed"
     return [said] if max(n, m) > 1 else []
 
 
@@ -76,7 +78,8 @@ def seed_by_seed(
 
 def _worst(findings: Sequence[Finding]) -> Finding:
     worst = min(findings, key=lambda one: (one.change not in FAILING, one.change is not Change.NOT_COMPARED))
-    return replace(worst, note="; ".join(filter(None, (worst.note, f"in the worst of {len(findings)} seeds"))))
+    where = f"in the worst of {len(findings)} seeds" if len(findings) > 1 else "in the only seed of both sides"
+    return replace(worst, note="; ".join(filter(None, (worst.note, where))))
 
 
 def _joined(groups: Sequence[Group[Run]]) -> Group[Run]:

@@ -63,6 +63,7 @@ class Sink:
         self._began_ns = time.perf_counter_ns()
         self._compression = compression
         self._lost = ""  # why nothing is written any more
+        self._process = os.getpid()
         self.profile = FORMAT
 
     @cached_property
@@ -142,6 +143,16 @@ class Sink:
         self._writer.message(channel, data, log_time=log_time, publish_time=calendar_ns(), sequence=sequence)
 
     @property
+    def copied(self) -> bool:
+        """Whether this process is a copy (os.fork) of the one that records, without its threads."""
+        return os.getpid() != self._process
+
+    def check_process(self) -> None:
+        """DataLost in a copy of the process that records: what it wrote would end up among what that one writes."""
+        if self.copied:
+            raise DataLost(f"this process is a copy (os.fork) of the one that records {self.path}: it writes nothing")
+
+    @property
     def digest(self) -> ContentDigest:
         """Digests of what was written so far."""
         return self._digest
@@ -172,7 +183,7 @@ class Sink:
             publish(self.path)
         return self.path
 
-    def lost(self, error: Exception) -> DataLost:
+    def lost(self, error: BaseException) -> DataLost:
         """The error by which the recording stops, here and wherever more is written: a file that lacks something gets
         no good end, even if the caller goes on."""
         unnamed = "out of host memory" if isinstance(error, MemoryError) else type(error).__name__
@@ -184,13 +195,19 @@ class Sink:
 
     @contextmanager
     def parting(self) -> Iterator[None]:
-        """Where digests are fed before the bytes that they are of are written: an error in between is one of `lost`."""
+        """Where digests are fed before the bytes that they are of are written: an error in between is one of `lost`.
+
+        What is no error, such as what a handler of a signal raises, leaves the file without a good end, too.
+        """
         try:
             yield
         except DataLost:
             raise
-        except Exception as error:
-            raise self.lost(error) from error
+        except BaseException as error:
+            lost = self.lost(error)
+            if isinstance(error, Exception):
+                raise lost from error
+            raise
 
     def abandon(self) -> None:
         """Close the file as it is: without an end record and under its .partial name."""
@@ -207,6 +224,7 @@ class Sink:
         """Whole writes only, and one clear message where the disk takes no more."""
         if self._lost:
             raise DataLost(self._lost)
+        self.check_process()
         try:
             with shielded():
                 yield

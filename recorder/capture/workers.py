@@ -52,3 +52,9 @@ class Workers:
         size = -(-len(items) // (count * _SHARES)) or 1
         shares = [items[at : at + size] for at in range(0, len(items), size)]
         return chain.from_iterable(self._threads.map(lambda share: [work(item) for item in share], shares))
+
+    def end(self) -> None:
+        """End the threads, once they have done what they are at."""
+        if self._threads is not None:
+            self._threads.shutdown(cancel_futures=True)
+            self._threads = None

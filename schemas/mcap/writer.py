@@ -27,7 +27,8 @@ from gpusimbench.schemas.mcap.records import INDEX_ENTRY, MAGIC, Op, Record
 
 _CHUNK_BYTES = 128 * 1024
 _TOGETHER_BYTES = 8 << 20  # of large messages, handed over in one call: each lets go of the interpreter's lock
-_TOGETHER_PIECES = 512  # half of what the operating system takes in one call
+_TOGETHER_PIECES = 512
+_MOST_PIECES = 1024  # that the operating system takes in one call (IOV_MAX of Linux and macOS)
 
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
@@ -315,7 +316,7 @@ class McapWriter:
         begin, self._queued = self._offset - self._queued, 0
         try:
             while left:
-                written = os.writev(self._descriptor, left)
+                written = os.writev(self._descriptor, left[:_MOST_PIECES])
                 while left and written >= len(left[0]):
                     written -= len(left.pop(0))
                 if written:  # the disk took a part of one: the rest follows, or an error says why not

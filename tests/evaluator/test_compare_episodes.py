@@ -111,6 +111,36 @@ def test_other_seeds(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["states"]["undecided"] == "base and head have no seed in common"
 
 
+def test_more_runs_of_a_seed(capsys: pytest.CaptureFixture[str]) -> None:
+    """Pair episodes seed by seed where a side has more runs of one: those that agree in every bit are the same."""
+
+    def near(seed: int, copy: int = 0) -> Path:
+        return recorded("near", 16, 4, copy, seed)
+
+    _, configuration, found = compared("--base", near(0), near(0, 1), near(1), "--head", near(0, 2), near(1, 1),
+                                       capsys=capsys)  # fmt: skip
+    assert found["return"]["note"] == "the same in every episode"
+    assert "2 seeds of base and 2 of head, 2 on both sides, are one sample" in configuration["notes"]
+    sweep = [recorded("sweep", 16, 4, seed=seed) for seed in range(2)]
+    even = compared("--base", near(0), near(1), "--head", *sweep, capsys=capsys)[2]["return"]
+    uneven = compared("--base", near(0), near(0, 1), near(1), "--head", *sweep, capsys=capsys)[2]["return"]
+    assert uneven["n"] == {"base": 3, "head": 2}
+    assert uneven["p_value"] == even["p_value"]
+    assert uneven["difference_ci95"] == pytest.approx(even["difference_ci95"])
+    found = compared(near(0), "--head", near(0, 1), near(1, 1), capsys=capsys)[2]
+    assert found["states"]["note"] == "in the only seed of both sides"
+
+
+def test_runs_without_a_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Say that they have none beside runs that have, and pair no episode of them."""
+    search.record("near", tmp_path / "a.mcap", 16, 4, None)
+    _, configuration, found = compared("--base", tmp_path / "a.mcap", "--head",
+                                       *(recorded("near", 16, 4, seed=seed) for seed in range(2)),
+                                       capsys=capsys)  # fmt: skip
+    assert any(note.endswith("each run without a seed counts as another seed") for note in configuration["notes"])
+    assert "not paired" in found["return"]["method"]
+
+
 def test_other_numbers_of_environments(capsys: pytest.CaptureFixture[str]) -> None:
     """Compare across n_env without pairs; leave what too few environments cannot show to nobody's guess."""
     code, configuration, found = compared(

@@ -111,6 +111,16 @@ def test_a_medium(tmp_path: Path) -> None:
 
 
 @slow
+def test_what_the_solver_does_not_have(tmp_path: Path) -> None:
+    """Name a spring of a free joint and iterations without slip: neither is in what MuJoCo Warp steps."""
+    body = '<body pos="0 0 1"><joint name="f" type="free" stiffness="50"/><geom size=".1"/></body>'
+    text = f'<mujoco><option noslip_iterations="5"/><worldbody>{body}</worldbody></mujoco>'
+    with _built(scene_of(text, tmp_path)) as (_, description):
+        found = {deviation.parameter: deviation.used for deviation in description.deviations}
+    assert (found["joints.stiffness"], found["option.noslip_iterations"]) == ("f 0", "0")
+
+
+@slow
 def test_what_may_touch(tmp_path: Path) -> None:
     """Rest on a plane and on a table of each environment, and keep apart what MuJoCo keeps apart, geom by geom."""
     text = f"<mujoco><option timestep='0.005'/><worldbody>{TOUCHING}</worldbody></mujoco>"
@@ -166,6 +176,9 @@ def test_refusals(tmp_path: Path) -> None:
     ball = '<mujoco><worldbody><body><joint name="b" type="ball"/><geom size=".1"/></body></worldbody></mujoco>'
     with pytest.raises(Refused, match="that PhysX is given: .*ball joint 'b'"):
         engines.make("isaaclab", scene_of(ball, tmp_path), backend="newton").build()
+    held = ball.replace("<body>", '<body name="h" mocap="true"><geom size=".1"/></body><body>').replace("ball", "hinge")
+    with pytest.raises(Refused, match="no articulation without joints, such as that of body 'h'"):
+        engines.make("isaaclab", scene_of(held, tmp_path), backend="newton").build()
     scene = scene_of(JOINT.format(integrator="implicit", medium=""), tmp_path)
     with pytest.raises(Refused, match="no integrator 'implicit'"):
         engines.make("isaaclab", scene, backend="newton").build()

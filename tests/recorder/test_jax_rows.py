@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -71,3 +74,41 @@ def test_bits_as_jax_has_them() -> None:
     assert {name: array.dtype.name for name, array in found.items()} == {"reward": "float32", "half": "float32"}
     assert np.array_equal(found["reward"], np.float32([[0.1] * 3, [1.1] * 3]))
     assert np.array_equal(found["half"], np.float32(jax.numpy.bfloat16([[0.3] * 3, [1.3] * 3])))
+
+
+_TWO_DEVICES = """
+import jax
+from jax.numpy import ones
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from gpusimbench import UsageError
+from gpusimbench.recorder.vector.device.jax_rows import JaxRows
+
+first, second = jax.devices()
+both = NamedSharding(Mesh((first, second), ("x",)), PartitionSpec("x"))
+rows = JaxRows()
+rows.keep({"reward": jax.device_put(ones(4), both), "seen": jax.device_put(ones((4, 3)), both), "plain": ones(4)})
+assert rows.take()()["seen"].shape == (1, 4, 3)
+for other in (second, both):
+    apart, moved = JaxRows(), JaxRows()
+    moved.keep({"reward": jax.device_put(ones(4), first)})
+    for kept, row in ((apart, {"reward": (4, first), "seen": ((4, 3), other)}), (moved, {"reward": (4, other)})):
+        try:
+            kept.keep({name: jax.device_put(ones(shape), device) for name, (shape, device) in row.items()})
+        except UsageError as error:
+            print(error)
+"""
+
+
+def test_arrays_on_several_devices() -> None:
+    """Keep arrays that two devices share, and name the one that is elsewhere than the others or than in the rows
+    before."""
+    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run(
+        [sys.executable, "-c", _TWO_DEVICES], env={**os.environ, **flags}, capture_output=True, text=True, check=True
+    )
+    told = [line.partition(": ")[0] for line in done.stdout.splitlines()]
+    kept = "and the arrays that are kept are on cpu:0"
+    assert told == [
+        f"{name} is on {at}, {kept}"
+        for at in ("cpu:1", "cpu:0, cpu:1") for name in ("seen", "reward")
+    ]  # fmt: skip

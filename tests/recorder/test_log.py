@@ -38,6 +38,37 @@ def states(n_step: int = 11) -> tuple[np.ndarray, np.ndarray]:
     return position, np.ones_like(position)
 
 
+_FORKS = """
+import os, sys
+from pathlib import Path
+from gpusimbench.schemas.errors import DataLost
+from tests.recorder.test_log import states, writer
+
+path = Path(sys.argv[1])
+with writer(path) as log:
+    log.append(*(array[:4] for array in states()))
+    if not os.fork():
+        try:
+            log.append(*(array[4:] for array in states()))
+        except DataLost as error:
+            print(error, flush=True)
+        sys.exit(0)
+    os.wait()
+    assert not path.exists()
+    log.append(*(array[4:] for array in states()))
+"""
+
+
+def test_a_program_that_forks(tmp_path: Path) -> None:
+    """Leave the file to the process that began it: a copy of the process that ends writes no end into it."""
+    told = run_python(_FORKS, tmp_path / "a.mcap")
+    assert told.stdout.count(f"is a copy (os.fork) of the one that records {tmp_path / 'a.mcap'}: it writes") == 1
+    recording = open_recording(tmp_path / "a.mcap")
+    verify(recording)
+    assert recording.status == "complete"
+    assert np.array_equal(recording.state("cubes", "position")[:], states()[0])
+
+
 def test_a_program_logs_its_states(tmp_path: Path) -> None:
     """Log state by state, reusing one array, and find every number and what was said of them."""
     position, velocity = states()

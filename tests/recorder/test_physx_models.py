@@ -331,6 +331,15 @@ def test_trials(tmp_path: Path) -> None:
     assert np.abs(moved["actuatorm"] - moved["rest"]).max() > 0.01
 
 
+def test_a_spring_of_a_free_joint(tmp_path: Path) -> None:
+    """Name it among the deviations: PhysX's free bodies have no springs."""
+    free = '<body pos="0 0 1"><joint type="free" stiffness="50"/><geom size=".1"/></body>'
+    simulator, description = engines.build("physx", scene_of(_world(free), tmp_path))
+    simulator.close()
+    found = {deviation.parameter: deviation for deviation in description.deviations}
+    assert found["bodies.stiffness"].used == "0"
+
+
 REFUSED = {
     "ball joint 'shoulder'": _world('<body><joint name="shoulder" type="ball"/><geom size=".1"/></body>'),
     "ellipsoid 'egg', which collides": _world(

@@ -23,6 +23,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.device import rows
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 from gpusimbench.schemas.images import image_hashes
+from tests.conftest import run_python
 
 pytest.importorskip("brax")
 jax = pytest.importorskip("jax")
@@ -395,3 +396,32 @@ def test_images_that_are_observed(tmp_path: Path) -> None:
     assert recording.configuration.options["images"] == "hash"
     assert np.array_equal(column(recording, "observation_pixels_hash"), image_hashes(np.stack(seen), lead=2))
     assert np.array_equal(column(recording, "observation_at")[:, 0], np.arange(61))
+
+
+_FORKS = """
+import os, signal, sys, warnings
+warnings.simplefilter("ignore")
+from gpusimbench import wrap
+from tests.recorder.test_wrap_functional import drawn, falling, keys
+
+env = wrap(falling(), sys.argv[1], steps=20, dt=0.1)
+state = env.reset(keys())
+for number, action in enumerate(drawn(20)):
+    state = env.step(state, action)
+    if number == 10 and not os.fork():
+        signal.alarm(20)
+        env.close()
+        os._exit(0)
+ended = os.wait()[1]
+env.close()
+sys.exit(ended)
+"""
+
+
+@pytest.mark.slow
+def test_a_copy_of_the_process_closes_nothing(tmp_path: Path) -> None:
+    """Leave the recording to the process that began it: a copy lacks the thread that writes, and waits for none."""
+    run_python(_FORKS, tmp_path / "a.mcap")
+    recording = open_recording(tmp_path / "a.mcap")
+    verify(recording)
+    assert recording.status == "complete"

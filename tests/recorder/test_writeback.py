@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gpusimbench import RecordingWriter, open_recording, verify
-from gpusimbench.recorder.capture import writeback
+from gpusimbench.recorder.capture import states, writeback
+from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import array_field
 
 
-def record(path: Path) -> None:
-    """A recording of 3 MB, in blocks of 50 states of 19 KB."""
+class Struck(BaseException):
+    """What a handler of a signal raises."""
+
+
+def record(path: Path, numbers: int = 75) -> None:
+    """A recording of 3 MB, in blocks of 50 states of 19 KB; with more numbers, larger ones."""
     rng = np.random.default_rng(0)
-    fields = (array_field("seen", "float32", (75,)),)
+    fields = (array_field("seen", "float32", (numbers,)),)
     with RecordingWriter(
         path, simulator="mine", version="1", scene="toss", n_env=64, dt=0.1, steps=149, fields=fields
     ) as log:
         for _ in range(3):
-            log.append(rng.standard_normal((50, 64, 75, 1), dtype=np.float32))
+            log.append(rng.standard_normal((50, 64, numbers, 1), dtype=np.float32))
 
 
 @pytest.mark.parametrize("fails", [False, True])
@@ -48,3 +55,28 @@ def test_small_recordings_need_no_thread(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(os, "posix_fadvise", lambda *_: asked.append(1))
     record(tmp_path / "a.mcap")
     assert not asked
+
+
+def test_no_thread_is_left(tmp_path: Path) -> None:
+    """End the threads of a recording with the recording."""
+    before = set(threading.enumerate())
+    record(tmp_path / "a.mcap", numbers=300)  # so that threads share the work
+    assert set(threading.enumerate()) <= before
+
+
+def test_what_is_no_error_gives_no_good_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the file without an end where something else than an error, such as what a handler of SIGALRM raises,
+    strikes between digests and bytes: they would not be of the same states."""
+    blocks, made = states.state_parts, []
+
+    def struck(*arguments: Any, **named: Any) -> Any:
+        made.append(1)
+        if len(made) == 3:
+            raise Struck
+        return blocks(*arguments, **named)
+
+    monkeypatch.setattr(states, "state_parts", struck)
+    with pytest.raises(DataLost, match=r"writing stopped: Struck; what was written is in .*partial"):
+        record(tmp_path / "a.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.partial"]
+    assert open_recording(tmp_path / "a.mcap.partial").status == "incomplete"

@@ -144,6 +144,23 @@ def test_a_full_disk(tmp_path: Path) -> None:
     assert [m.log_time for m in Container(tmp_path / "a.mcap").messages("/one")] == [1]
 
 
+@pytest.mark.parametrize("most", [None, 999])
+def test_a_message_of_many_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int | None) -> None:
+    """Write more parts than the operating system takes in one call, also where it takes few bytes at a time."""
+    parts = [os.urandom(1 + number % 200) for number in range(2500)]
+    write_all = os.writev
+    if most:
+        monkeypatch.setattr(os, "writev", lambda at, pieces: write_all(at, [b"".join(pieces)[:most]]))
+    with (tmp_path / "a.mcap").open("wb", buffering=0) as stream:
+        writer = McapWriter(stream, profile=FORMAT, library="")
+        channel = writer.channel("/many", writer.schema("empty", "protobuf", b""), {})
+        writer.message(channel, [Part(part) for part in parts], log_time=1, publish_time=1, sequence=0)
+        writer.finish()
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        ((_, _, message),) = make_reader(stream, validate_crcs=True).iter_messages()
+    assert message.data == b"".join(parts)
+
+
 def test_a_chunk_ends_at_its_limit(tmp_path: Path) -> None:
     """Close the chunk of small messages when it reaches 128 KiB, and give a message as large one of its own."""
     limit, head = 128 * 1024, 31  # a record's bytes before a message's data

@@ -56,7 +56,8 @@ def scene_cfg(model: Model, *, n_env: int, options: IsaacLabOptions, gpu: bool) 
             setattr(cfg, name, RigidObjectCfg(prim_path=f"{_ROOT}/{tree.prim}/{tree.links[0].prim}", spawn=None))
             continue
         if not tree.joints():
-            body = model.compiled.model.body(tree.links[0].body).name or f"body{tree.links[0].body}"
+            number = next(link.body for link in tree.links if link.body >= 0)  # behind its base, if it has one
+            body = model.compiled.model.body(number).name or f"body{number}"
             raise Refused(f"Isaac Lab has no articulation without joints, such as that of body '{body}' and its parts")
         articulation = ArticulationCfg(
             prim_path=f"{_ROOT}/{tree.prim}",

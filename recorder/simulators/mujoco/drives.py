@@ -18,6 +18,7 @@ _HINGE, _SLIDE = 3, 2  # of mujoco.mjtJoint
 _JOINT, _JOINT_IN_PARENT, _TENDON = 0, 1, 3  # of mujoco.mjtTrn
 _FIXED_GAIN, _NO_BIAS, _AFFINE_BIAS, _NO_DYNAMICS = 0, 0, 1, 0  # of mujoco.mjtGain, mjtBias, mjtDyn
 _JOINT_WRAP = 1  # of mujoco.mjtWrap
+_LAST_GROUP = 30  # of actuators, that an option can disable
 _POSITION, _VELOCITY = 0, 1  # columns of servo
 
 
@@ -69,6 +70,8 @@ def drives(model: Any, places: Places, engine: str, *, remedy: str, limited_serv
     nv, nu = places.count, model.nu
     unlimited = np.float32(np.inf)
     limited = {name: np.asarray(getattr(model, f"actuator_{name}limited"), dtype=bool) for name in ("ctrl", "force")}
+    if _has_flag(model, "CLAMPCTRL"):
+        limited["ctrl"][:] = False
     ends = {
         (name, end): np.where(given, getattr(model, f"actuator_{name}range")[:, end], (2 * end - 1) * unlimited)
         for name, given in limited.items() for end in (0, 1)
@@ -82,6 +85,8 @@ def drives(model: Any, places: Places, engine: str, *, remedy: str, limited_serv
             target_of[places.at_qd[joint]] = places.at_q[joint]
     alone = "" if limited_servos else " and without a force range"
     for a in range(nu):
+        if _switched_off(model, a):
+            continue
         found = _arms(model, places, a)
         name = model.actuator(a).name or f"actuator{a}"
         kind = _servo_of(model, a)
@@ -99,8 +104,8 @@ def drives(model: Any, places: Places, engine: str, *, remedy: str, limited_serv
             servo[place, kind] = a
         else:
             raise Refused(
-                f"{engine} cannot be given actuator '{name}': it takes motors of joints and of fixed tendons, and "
-                f"position and velocity servos of a joint with gear 1{alone}; {remedy}"
+                f"{engine} cannot be given actuator '{name}': it takes motors of joints and of fixed tendons "
+                f"without actuatorfrcrange, and position and velocity servos of a joint with gear 1{alone}; {remedy}"
             )
     single = np.float32
     return Drives(
@@ -116,13 +121,26 @@ def drives(model: Any, places: Places, engine: str, *, remedy: str, limited_serv
     )
 
 
+def _switched_off(model: Any, a: int) -> bool:
+    """Whether an actuator makes no force, by a flag or its group."""
+    group = int(model.actuator_group[a])
+    of_group = 0 <= group <= _LAST_GROUP and model.opt.disableactuator >> group & 1
+    return _has_flag(model, "ACTUATION") or bool(of_group)
+
+
+def _has_flag(model: Any, disabled: str) -> bool:
+    import mujoco  # whose releases number the flags differently
+
+    return bool(model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{disabled}")))
+
+
 def _arms(model: Any, places: Places, a: int) -> dict[int, float]:
     """By place in joint_qd, the arm of an actuator on it; empty where it acts on something else."""
     kind, (target, _) = int(model.actuator_trntype[a]), model.actuator_trnid[a]
     gear = float(model.actuator_gear[a, 0])
     if kind in (_JOINT, _JOINT_IN_PARENT) and model.jnt_type[target] in (_HINGE, _SLIDE):
         return {int(places.at_qd[target]): gear}
-    if kind == _TENDON:
+    if kind == _TENDON and not model.tendon_actfrclimited[target]:
         first, count = model.tendon_adr[target], model.tendon_num[target]
         wraps = range(first, first + count)
         if all(model.wrap_type[w] == _JOINT_WRAP for w in wraps):

@@ -31,7 +31,7 @@ _RELATIVE, _ABSOLUTE = 5e-5, 1e-7  # of single precision, with which Newton comp
 _SHOWN = 4  # items of a deviation
 
 _OF_MODEL = ("density", "viscosity", "wind", "gravity")
-_OF_SOLVER = ("iterations", "ls_iterations", "tolerance", "impratio", "magnetic")
+_OF_SOLVER = ("iterations", "ls_iterations", "noslip_iterations", "tolerance", "impratio", "magnetic")
 _ACTUATOR = (
     "trntype", "dyntype", "gaintype", "biastype", "gear", "gainprm", "biasprm", "dynprm", "ctrllimited", "ctrlrange",
     "forcelimited", "forcerange", "actlimited", "actrange",

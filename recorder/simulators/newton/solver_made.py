@@ -79,6 +79,8 @@ def deviations_of_solver(solver: Any, imported: Imported, model: Any, reason: st
             for m, joints in ((model, free), (made, [rows[joint] for joint in free]))
         )
         said += different(f"joints.{word}", [joint_name(model, joint) for joint in free], (wanted, have), reason)
+    springs = [m.jnt_stiffness[joints][:, None] for m, joints in ((model, free), (made, [rows[j] for j in free]))]
+    said += different("joints.stiffness", [joint_name(model, joint) for joint in free], springs, reason)
     said += different_options(model, made, reason)
     return [*said, *different_contacts(model, made, bodies_of_solver(solver, imported), reason, unordered=True)]
 

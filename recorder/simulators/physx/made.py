@@ -155,6 +155,9 @@ def _of_joints(model: Any) -> Iterator[Deviation]:
         values = [float(getattr(model, f"dof_{what}")[d : d + 6].max()) for d in dofs]
         if any(values):
             yield Deviation(f"bodies.{what}", f"up to {max(values):g}", "0", f"a free body of PhysX has no {what}")
+    if np.any(model.jnt_stiffness[free]):
+        most = f"up to {model.jnt_stiffness[free].max():g}"
+        yield Deviation("bodies.stiffness", most, "0", "a free body of PhysX has no spring of its own")
 
 
 def _of_contacts(plan: Plan, options: PhysxOptions, *, gpu: bool) -> Iterator[Deviation]:

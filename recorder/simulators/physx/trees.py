@@ -170,6 +170,12 @@ def _refuse(model: Any, file: str) -> None:
         if has := [word for word in words if np.any(getattr(model, f"tendon_{word}")[t])]:
             said.append(f"tendon '{model.tendon(t).name or f'tendon{t}'}', which has {', '.join(has)}")
     said += [f"contact pair {p}, with parameters of its own" for p in range(model.npair)]
+    flexes = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f) or f"flex{f}" for f in range(model.nflex)]
+    said += [f"flexible body '{name}'" for name in flexes]
+    said += [
+        f"gravity compensation of joint '{model.joint(j).name or f'joint{j}'}' within its actuatorfrcrange"
+        for j in np.flatnonzero(model.jnt_actgravcomp & model.jnt_actfrclimited)
+    ]
     if said:
         more = f", and {len(said) - 3} more" if len(said) > 3 else ""
         raise Refused(f"PhysX is not given the {', '.join(said[:3])}{more} of {file}; MuJoCo's engines and Newton are")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.device.rows import Arrays, Columns, Rows
+from gpusimbench.schemas.errors import UsageError
 
 _LARGE = 128 << 10  # bytes of an array that is written alone: joining it costs a CPU more than another kernel
 
@@ -57,11 +58,15 @@ class JaxRows(Rows):
         names = [name for name in self._places if name in row]
         places = tuple([self._places[name] for name in names])
         arrays = tuple([row[name] for name in names])
-        if not self._blocks:
-            self._blocks = _zeros()(arrays, places, self._most)
-        self._blocks |= _write(places)(
-            {place.dtype: self._blocks[place.dtype] for place in places}, self._numbers[at], arrays
-        )
+        try:
+            if not self._blocks:
+                self._blocks = _zeros()(arrays, places, self._most)
+            self._blocks |= _write(places)(
+                {place.dtype: self._blocks[place.dtype] for place in places}, self._numbers[at], arrays
+            )
+        except ValueError:  # JAX names its own functions
+            _check_devices(row, self._blocks)
+            raise
 
     def last(self, names: Iterable[str]) -> Callable[[], Columns]:
         """See Rows.last."""
@@ -84,6 +89,18 @@ class JaxRows(Rows):
             return {name: place.of(rows) for name, place in self._places.items()}
 
         return arrived
+
+
+def _check_devices(row: Arrays, blocks: Arrays) -> None:
+    """UsageError where arrays are not all on the devices on which the blocks are, or the first array is."""
+    at = {name: array.devices() for name, array in row.items() if getattr(array, "committed", False)}
+    kept: Any = next((block.devices() for block in blocks.values()), next(iter(at.values()), set()))
+    for name, devices in at.items():
+        if devices != kept:
+            here, there = (", ".join(sorted(map(str, some))) for some in (devices, kept))
+            raise UsageError(
+                f"{name} is on {here}, and the arrays that are kept are on {there}: jax.device_put moves it"
+            )
 
 
 def _places(row: Arrays) -> dict[str, _Place]:

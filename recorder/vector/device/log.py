@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ from gpusimbench.recorder.vector.ending import refuses_hashes
 from gpusimbench.recorder.vector.fields import GIVEN, NO_STEP, NOT_GIVEN, fields_of, recorded_dtype
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.modes import FINAL, Mode
+from gpusimbench.schemas.errors import DataLost
 
 _HIDDEN = (
     "in the last step of an episode, the observation before that step stands for it: the environment returns the first "
@@ -122,6 +124,7 @@ class DeviceLog:
         self._resets: dict[int, Reset] = {}
         self._hashes: list[tuple[str, Hashed, int]] = []  # of calls before the first step, which begins the recording
         self._hashing = False
+        self._process = os.getpid()
         self.made = 0
         self.ended = False
 
@@ -143,6 +146,7 @@ class DeviceLog:
             log.end(error)
             raise
         self._log, self._writing = log, Writing(lambda job: job.work(), alone=True)
+        self._process = os.getpid()
         for name, found, states in self._hashes:
             log.fingerprint(name, found, states)
 
@@ -197,6 +201,8 @@ class DeviceLog:
         if self.ended or self._log is None or self._writing is None:
             return
         self.ended = True
+        if self._copied:
+            return
         try:
             self._write()
         except BaseException as second:  # also one that a handler of a signal raises: rows are missing then
@@ -218,7 +224,14 @@ class DeviceLog:
                 rows = self._rows.take()
                 self._put(lambda: log.append(rows(), resets))
 
+    @property
+    def _copied(self) -> bool:
+        # a copy of the process that records (os.fork) lacks the thread that writes
+        return os.getpid() != self._process
+
     def _put(self, work: Callable[[], None]) -> None:
         assert self._writing is not None
+        if self._copied:
+            raise DataLost("this process is a copy (os.fork) of the one that records: it writes nothing")
         self._writing.wait(1)
         self._writing.put(_Job(work))
