@@ -213,7 +213,8 @@ class StateWriter:
     ) -> list[tuple[int, int, str]]:
         # rows that are held back where they are a whole block, and hashes of the new rows; what of them is not finite
         rows = groups[0][0].shape[1]
-        writing = self._begin_writing(just_read=rows if len(self._held) == self._stride == 1 else 0) if whole else None
+        just_read = rows if len(self._held) == self._stride == 1 and self._side_by_side(groups) else 0
+        writing = self._begin_writing(just_read=just_read) if whole else None
         pieces = self._pieces(groups)
         looked_at = self.workers.start(self._look, pieces)
         hashed = self.workers.start(lambda _: self._gather(pieces, looked_at, rows, first), (0,))
@@ -225,6 +226,10 @@ class StateWriter:
             self._sink.write_parts(topics.fingerprint("capture"), message, sim_ns=sim_time_ns(first, self._dt))
         self._sink.flush()
         return found
+
+    def _side_by_side(self, groups: Sequence[States]) -> bool:
+        # not where a block is looked at in the memory that it came in, though one before was read into the buffers
+        return bool(self._buffers) and groups[0][0].base is self._buffers[0][0]
 
     def _gather(
         self, pieces: Sequence[_Piece], looked_at: Iterable[_Looked], rows: int, first: int
@@ -347,7 +352,7 @@ class StateWriter:
 
     def _digest(self, index: int, columns: Sequence[States], just_read: int) -> None:
         field, digest = self.fields[index], self._sink.digest
-        if just_read and self._buffers:
+        if just_read:
             together = [self._buffers[ranges.start][index][:, :just_read] for ranges in self._alike]
             digest.state_ranges(field, self._n_env, together)
         else:

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import psutil
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -236,21 +236,26 @@ def test_arrays_are_what_was_declared(tmp_path: Path, spoil: object) -> None:
 @given(
     n_env=st.sampled_from([1, 3, 64, 65, 130, 6 * 64, 9 * 64 + 5]),
     sizes=st.lists(st.integers(1, 60), min_size=1, max_size=5),
+    apart=st.lists(st.booleans(), min_size=6, max_size=6),
     stride=st.integers(1, 7),
     alone=st.booleans(),
 )
+@example(n_env=3, sizes=[50], apart=[True, *[False] * 5], stride=1, alone=True)
 def test_however_states_are_fed(
-    tmp_path_factory: pytest.TempPathFactory, n_env: int, sizes: list[int], stride: int, alone: bool
+    tmp_path_factory: pytest.TempPathFactory, n_env: int, sizes: list[int], apart: list[bool], stride: int, alone: bool
 ) -> None:
-    """Write the same numbers, hashes and digests for any blocks, strides, environments and threads."""
+    """Write the same numbers, hashes and digests for any blocks (whole or strewn), strides, environments and threads.
+
+    A whole block in one piece behind a strewn one had the digest of the memory that the strewn one was read into.
+    """
     folder = tmp_path_factory.mktemp("fed")
     whole = states(1 + sum(sizes), n_env)
     sink = Sink(folder / "x.mcap", compression="none")
     writer = StateWriter(sink, FIELDS, n_env=n_env, dt=0.01, stride=stride)
     writer.workers = Workers(small=alone)
     first = 0
-    for size in (1, *sizes):
-        part = tuple(array[first : first + size].copy() for array in whole)
+    for size, strewn in zip((1, *sizes), apart, strict=False):
+        part = tuple(array[first : first + size].copy(order="F" if strewn else "C") for array in whole)
         writer.feed(part)
         for array in part:
             array[:] = np.nan  # an engine uses its memory again
