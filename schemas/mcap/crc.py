@@ -7,6 +7,7 @@ CRC's polynomial, so crc(A B) = crc(A) * x^(8 |B|) + crc(B), the inversions at b
 
 from __future__ import annotations
 
+from array import array
 from functools import lru_cache
 
 # The bit of x^0 is the highest: a CRC-32 is computed in reflected order.
@@ -26,29 +27,29 @@ def second(both: int, first: int, size: int) -> int:
 
 def _moved(crc: int, size: int) -> int:
     # times x^(8 size): a sum over the crc's eight groups of four bits
-    a, b, c, d, e, f, g, h = _products(size)
+    of = _products(size)
     return (
-        a[crc & 15] ^ b[crc >> 4 & 15] ^ c[crc >> 8 & 15] ^ d[crc >> 12 & 15]
-        ^ e[crc >> 16 & 15] ^ f[crc >> 20 & 15] ^ g[crc >> 24 & 15] ^ h[crc >> 28]
+        of[crc & 15] ^ of[16 + (crc >> 4 & 15)] ^ of[32 + (crc >> 8 & 15)] ^ of[48 + (crc >> 12 & 15)]
+        ^ of[64 + (crc >> 16 & 15)] ^ of[80 + (crc >> 20 & 15)] ^ of[96 + (crc >> 24 & 15)] ^ of[112 + (crc >> 28)]
     )  # fmt: skip
 
 
 @lru_cache(maxsize=1024)
-def _products(size: int) -> tuple[tuple[int, ...], ...]:
+def _products(size: int) -> array[int]:
     # x^(8 size) times each number of four bits, by the group in which they stand, the lowest first; blocks of a
-    # recording have few different sizes
+    # recording have few different sizes, and a table takes 0.6 kB
     product = _shift(size)
     single = []  # times one bit, the highest first
     for _ in range(32):
         single.append(product)
         product = _times_x(product)
-    groups = []
+    found = array("I")
     for lowest in range(0, 32, 4):
         row = [0]
         for bit in range(lowest, lowest + 4):
             row += [known ^ single[31 - bit] for known in row]
-        groups.append(tuple(row))
-    return tuple(groups)
+        found.extend(row)
+    return found
 
 
 def _times_x(b: int) -> int:
