@@ -87,3 +87,23 @@ def stepped(simulator: Simulator, description: Description, steps: int) -> dict[
     found = dict(zip((f.name for f in description.fields), simulator.states(steps), strict=True))
     assert not simulator.gates()
     return found
+
+
+def read_back(simulator: Any, description: Description, seed: int) -> Any:
+    """Set states that are drawn, each in its environment's place, and read them back; returns MuJoCo's qpos of them."""
+    states, (qpos, _) = drawn(simulator._model.compiled, simulator.n_env, seed)
+    origins = np.array(description.env_origins)[:, None]
+    given = tuple(a + origins if f.field == "position" else a for f, a in zip(description.fields, states, strict=True))
+    simulator.set_state(given)
+    for field, a, b in zip(description.fields, simulator.state(), given, strict=True):
+        np.testing.assert_allclose(a, b, atol=2e-6, err_msg=field.name)
+    return qpos
+
+
+def reset_alone(simulator: Simulator, description: Description, first: States) -> None:
+    """Reset the second of three environments to its first state, and leave the others as they are."""
+    before = simulator.state()
+    simulator.reset(np.array([1]))
+    for field, was, now, begun in zip(description.fields, before, simulator.state(), first, strict=True):
+        assert now[[0, 2]].tobytes() == was[[0, 2]].tobytes(), field.name
+        np.testing.assert_allclose(now[1], begun[1], atol=1e-6, err_msg=field.name)

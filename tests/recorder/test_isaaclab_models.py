@@ -27,7 +27,7 @@ from gpusimbench.recorder.simulators.isaaclab.physx import measured
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.schemas.errors import UsageError
 from tests.recorder import engines
-from tests.recorder.mixed_model import MIXED, TOUCHING, drawn, scene_of, stepped
+from tests.recorder.mixed_model import MIXED, TOUCHING, drawn, read_back, reset_alone, scene_of, stepped
 
 # the engine's own, of its next release; mujoco's of numpy
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
@@ -70,13 +70,7 @@ def test_kinematics_and_states(tmp_path: Path) -> None:
         first = simulator.state()
         origins = np.array(description.env_origins)[:, None]
         for seed in range(2):
-            states, (qpos, _) = drawn(simulator._model.compiled, simulator.n_env, seed)
-            given = tuple(
-                a + origins if f.field == "position" else a for f, a in zip(description.fields, states, strict=True)
-            )
-            simulator.set_state(given)
-            for field, a, b in zip(description.fields, simulator.state(), given, strict=True):
-                np.testing.assert_allclose(a, b, atol=2e-6, err_msg=field.name)
+            qpos = read_back(simulator, description, seed)
             positions, orientations = simulator.link_poses()
             for env, row in enumerate(qpos):
                 data = mujoco.MjData(model)
@@ -93,11 +87,7 @@ def test_kinematics_and_states(tmp_path: Path) -> None:
         simulator.restore(saved)
         for a, b in zip(after, simulator.states(3), strict=True):
             np.testing.assert_allclose(a, b, atol=1e-6)
-        before = simulator.state()
-        simulator.reset(np.array([1]))
-        for field, was, now, begun in zip(description.fields, before, simulator.state(), first, strict=True):
-            assert now[[0, 2]].tobytes() == was[[0, 2]].tobytes(), field.name
-            np.testing.assert_allclose(now[1], begun[1], atol=1e-6, err_msg=field.name)
+        reset_alone(simulator, description, first)
 
 
 def test_accelerations(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from tests.recorder import engines
-from tests.recorder.mixed_model import MIXED, TOUCHING, drawn, scene_of, stepped
+from tests.recorder.mixed_model import MIXED, TOUCHING, read_back, reset_alone, scene_of, stepped
 
 # the engine's own, of its next release; mujoco's of numpy
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
@@ -137,13 +137,7 @@ def test_states_and_trials(tmp_path: Path) -> None:
     with _built(scene, n_env=3) as (simulator, description):
         model, origins = simulator._model.compiled.model, np.array(description.env_origins)[:, None]
         first = simulator.state()
-        states, (qpos, _) = drawn(simulator._model.compiled, 3, 0)
-        given = tuple(
-            a + origins if f.field == "position" else a for f, a in zip(description.fields, states, strict=True)
-        )
-        simulator.set_state(given)
-        for field, a, b in zip(description.fields, simulator.state(), given, strict=True):
-            np.testing.assert_allclose(a, b, atol=2e-6, err_msg=field.name)
+        qpos = read_back(simulator, description, 0)
         positions, _ = simulator.link_poses()
         for env, row in enumerate(qpos):
             data = mujoco.MjData(model)
@@ -156,11 +150,7 @@ def test_states_and_trials(tmp_path: Path) -> None:
         after = simulator.states(3)
         simulator.restore(saved)
         assert [a.tobytes() for a in after] == [a.tobytes() for a in simulator.states(3)]
-        before = simulator.state()
-        simulator.reset(np.array([1]))
-        for field, was, now, begun in zip(description.fields, before, simulator.state(), first, strict=True):
-            assert now[[0, 2]].tobytes() == was[[0, 2]].tobytes(), field.name
-            np.testing.assert_allclose(now[1], begun[1], atol=1e-6, err_msg=field.name)
+        reset_alone(simulator, description, first)
 
     def make(still: Any, n_env: int) -> Simulator:
         return engines.make("isaaclab", replace(still), n_env=n_env, backend="newton")
