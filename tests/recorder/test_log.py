@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.cli.check import main as check
+from gpusimbench.evaluator.cli.eval import main as evaluate
 from gpusimbench.evaluator.cli.info import main as info
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.log import RecordingWriter
@@ -294,6 +297,31 @@ def test_no_file_is_overwritten(tmp_path: Path) -> None:
     with pytest.raises(DataLost), writer(tmp_path / "b.mcap"):
         raise DataLost("full")
     assert [path.name for path in tmp_path.glob("b*")] == ["b.mcap.partial"]
+
+
+def test_a_flush_that_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Warn of a file with an end record that did not reach the disk, though every byte of it can be read."""
+
+    def failing(_: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", failing)
+        with pytest.raises(DataLost, match="Input/output error"), writer(tmp_path / "a.mcap") as log:
+            log.append(*states())
+    left = tmp_path / "a.mcap.partial"
+    assert check([str(left)]) == 0
+    said = capsys.readouterr().out
+    assert "warning confirmed: not confirmed by its recorder to be on the disk" in said
+    assert "whole and unchanged" in (info([str(left)]), capsys.readouterr().out)[1]
+    for given in ([str(left)], [str(tmp_path), "--all"]):
+        evaluate(given)
+        assert "not confirmed by its recorder to be on the disk" in " ".join(capsys.readouterr().out.split()), given
+    left.rename(tmp_path / "a.mcap")
+    assert check([str(tmp_path / "a.mcap")]) == 0
+    assert "confirmed" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
