@@ -8,13 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from gpusimbench.recorder.capture.array_hashes import hashed
 from gpusimbench.recorder.simulators.jax.runtime import name_of
 from gpusimbench.recorder.vector.device.history import DONE, INFO, TRUNCATION
 from gpusimbench.recorder.vector.device.log import About
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import leaves
-from gpusimbench.schemas.vector import PHYSICS
+from gpusimbench.schemas.vector import NO_SEED, PHYSICS, RESET_KEYS, RESET_SEEDS
 from gpusimbench.schemas.view.geometry import GEOMETRY, MEDIA_TYPE
 
 _FIRST = "first_obs"  # ends the name of the info that a wrapper resets from
@@ -111,6 +112,22 @@ def traced(*trees: Any) -> bool:
     import jax
 
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
+
+
+def seeds_of(rng: Any) -> dict[str, str]:
+    """The option that tells by which keys environments were reset, by their shape and hash; that none is known of None.
+
+    UsageError where they are no array of numbers.
+    """
+    if rng is None:
+        return {RESET_SEEDS: NO_SEED}
+    import jax
+
+    try:
+        found = hashed(jax.random.key_data(rng), "rng")
+    except TypeError as error:
+        raise UsageError(f"rng is no key of JAX: {error}") from None
+    return {RESET_KEYS: f"{found.arrays[0].rpartition(' ')[0]} keys, hash {found.hashes[0]:016x}"}
 
 
 def about(env: Any, state: Any, options: Mapping[str, str], infos: Sequence[str], *, physics: bool) -> About:
