@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from functools import cache, partial
 from importlib import import_module
@@ -22,6 +23,7 @@ from gpusimbench.evaluator.read.episodes import count_episodes, episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.device import rows
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
+from gpusimbench.recorder.vector.device.states import seeds_of
 from gpusimbench.schemas.images import image_hashes
 from tests.conftest import run_python
 
@@ -180,6 +182,16 @@ def test_equal_keys_give_equal_files(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert f"{N_ENV} environments, dt 0.1 s, seeds not given" in capsys.readouterr().out
     assert info_command([head[0]]) == 0
     assert f"{N_ENV} environments, dt 0.1 s, rng {told[0]}" in capsys.readouterr().out
+
+
+def test_keys_are_described() -> None:
+    """Name the seed of a key that jax.random made of one, and the hash of keys that were split."""
+    for key in (jax.random.key(3), jax.random.PRNGKey(3), np.asarray(jax.random.PRNGKey(3))):
+        assert seeds_of(key) == {"rng": "seed 3"}
+    split = [seeds_of(keys(seed))["rng"] for seed in (3, 4)]
+    assert all(re.fullmatch(rf"uint32 {N_ENV}x2 keys, hash [0-9a-f]{{16}}", text) for text in split)
+    assert split[0] != split[1]
+    assert seeds_of(None) == {"seeds": "not given"}
 
 
 def test_steps_transfer_nothing(tmp_path: Path) -> None:
