@@ -163,7 +163,7 @@ class RecordingWriter:
         self._within = False  # the block of the recording
 
     def _check(self) -> None:
-        check(self._configuration)
+        check(self._configuration, named=lambda name: {"view_env": "view"}.get(name, name))
         c, s = self._configuration, self._simulation
         for what, text in (
             ("simulator", c.simulator),

@@ -136,9 +136,15 @@ def test_runs_are_evaluated(tmp_path: Path, gsb_eval: Command) -> None:
 @pytest.mark.parametrize(
     ("others", "message"),
     [
-        ({"n_env": 0}, "--n-env is at least 1"),
-        ({"stride": 3}, "does not divide"),
-        ({"dt": 0.0}, "--dt is a step in seconds"),
+        ({"n_env": 0}, "^n_env is at least 1"),
+        ({"n_env": 10**9}, "^n_env is at most"),
+        ({"steps": 0}, "^steps is at least 1"),
+        ({"stride": 3}, "^stride 3 does not divide steps 10"),
+        ({"warmup": -1}, "^warmup is at least 0"),
+        ({"timed_steps": -1}, "^timed_steps is at least 1"),
+        ({"dt": 0.0}, "^dt is a step in seconds"),
+        ({"view": (0, 0)}, "^view names at most 4 environments, each once"),
+        ({"view": (4,)}, "^view is from 0 to 3, as n_env is 4"),
         ({"simulator": ""}, "the simulator of a recording has a name"),
         ({"version": ""}, "the version of a recording has a name"),
         ({"simulator": "real"}, "is the name of measured trials"),
