@@ -13,8 +13,10 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.cli.check import main as check
+from gpusimbench.evaluator.cli.diff import main as diff
 from gpusimbench.evaluator.cli.eval import main as evaluate
 from gpusimbench.evaluator.cli.info import main as info
+from gpusimbench.evaluator.cli.share import main as share
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.scenes.registry import make_scene
@@ -325,6 +327,10 @@ def test_a_flush_that_fails(
     for given in ([str(left)], [str(tmp_path), "--all"]):
         evaluate(given)
         assert "not confirmed by its recorder to be on the disk" in " ".join(capsys.readouterr().out.split()), given
+    assert diff([str(left), "--env", "0", "--env", "1"]) in (0, 4)
+    assert "a.mcap.partial is not confirmed by its recorder" in " ".join(capsys.readouterr().out.split())
+    assert share(["recover", str(left)]) == 2
+    assert "nothing to recover; copy it under its final name, and check the copy" in capsys.readouterr().err
     left.rename(tmp_path / "a.mcap")
     assert check([str(tmp_path / "a.mcap")]) == 0
     assert "confirmed" not in capsys.readouterr().out
