@@ -1,9 +1,9 @@
 """Redraws the tables of docs/how-to/what-the-importer-lost.md: what engines make of the walker and Gymnasium's models.
 
-usage: python docs/make_imports.py [--sim warp,mjx,...] [--models walker,ant,...] [--folder FOLDER]
+usage: python docs/make_imports.py [--columns warp,isaaclab-newton,...] [--models walker,ant,...] [--folder FOLDER]
 
-Measures these engines and models, and shows all results that are in the folder; what is not there stays as the page has
-it, so that engines can be added one by one.
+Measures these columns and models, and shows all results that are in the folder; what is not there stays as the page has
+it, so that columns can be added one by one.
 """
 
 from __future__ import annotations
@@ -19,8 +19,19 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "how-to" / "what-the-importer-lost.md"
 BEGIN, END = "<!-- imports: docs/make_imports.py -->", "<!-- end of imports -->"
-ENGINES = ("warp", "mjx", "newton", "physx", "isaaclab", "genesis")
-_NO_PGS = {"warp": "solver=Newton", "mjx": "solver=Newton", "newton": "solver=Newton"}
+COLUMNS = {
+    "warp": "warp",
+    "mjx": "mjx",
+    "newton": "newton",
+    "physx": "physx",
+    "isaaclab-ovphysx": "isaaclab, backend ovphysx",
+    "isaaclab-newton": "isaaclab, backend newton",
+    "genesis": "genesis",
+}
+"""Names of columns in files and arguments, an engine and, behind a hyphen, its backend; and their titles."""
+
+_NO_PGS = ("warp", "mjx", "newton")
+"""Columns of engines without the solver PGS."""
 
 
 def models() -> dict[str, Path]:
@@ -32,13 +43,14 @@ def models() -> dict[str, Path]:
     return {path.stem: path for path in files}
 
 
-def measured(model: Path, engine: str, folder: Path) -> dict[str, Any]:
+def measured(model: Path, column: str, folder: Path) -> dict[str, Any]:
     """What gsb-import says of an engine, from the folder if it was asked before."""
-    target = folder / f"{model.stem}-{engine}.json"
+    target = folder / f"{model.stem}-{column}.json"
     if not target.exists():
+        engine, _, backend = column.partition("-")
         given = [str(model), "--sim", engine, "--out", str(folder / "runs"), "--json", str(target)]
-        if "PGS" in model.read_text() and engine in _NO_PGS:
-            given += ["--option", _NO_PGS[engine]]
+        given += ["--option", f"backend={backend}"] if backend else []
+        given += ["--option", "solver=Newton"] if "PGS" in model.read_text() and column in _NO_PGS else []
         command = [sys.executable, "-m", "gpusimbench.evaluator.cli.imported", *given]
         done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode in (0, 4), done.stderr
@@ -67,16 +79,16 @@ def short(found: dict[str, Any]) -> str:
 
 
 def table(folder: Path, present: str) -> str:
-    """A row for each model, a column for each engine, in Markdown; what is not in the folder is as in `present`, or a
-    dash."""
+    """A row for each model, a column for each engine and backend, in Markdown; what is not in the folder is as in
+    `present`, or a dash."""
     lines = [[cell.strip() for cell in line.strip("| ").split("|")] for line in present.strip().splitlines()]
-    shown = {(row[0], engine): cell for row in lines[2:] for engine, cell in zip(lines[0][1:], row[1:], strict=True)}
-    rows = [["model", *ENGINES], ["---"] * (len(ENGINES) + 1)]
+    shown = {(row[0], title): cell for row in lines[2:] for title, cell in zip(lines[0][1:], row[1:], strict=True)}
+    rows = [["model", *COLUMNS.values()], ["---"] * (len(COLUMNS) + 1)]
     for name, path in models().items():
         cells = []
-        for engine in ENGINES:
-            there = (folder / f"{name}-{engine}.json").exists()
-            cells.append(short(measured(path, engine, folder)) if there else shown.get((name, engine), "-"))
+        for column, title in COLUMNS.items():
+            there = (folder / f"{name}-{column}.json").exists()
+            cells.append(short(measured(path, column, folder)) if there else shown.get((name, title), "-"))
         rows.append([name, *cells])
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
@@ -84,15 +96,15 @@ def table(folder: Path, present: str) -> str:
 def main() -> None:
     """Measure, and write the table into the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sim", default=",".join(ENGINES))
+    parser.add_argument("--columns", default=",".join(COLUMNS))
     parser.add_argument("--models", default="")
     parser.add_argument("--folder", type=Path, default=Path("import-results"))
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     known = models()
     for name in given.models.split(",") if given.models else known:
-        for engine in given.sim.split(","):
-            print(name, engine, short(measured(known[name], engine, given.folder)), flush=True)
+        for column in given.columns.split(","):
+            print(name, column, short(measured(known[name], column, given.folder)), flush=True)
     head, rest = PAGE.read_text().split(BEGIN)
     present, tail = rest.split(END)
     PAGE.write_text(f"{head}{BEGIN}\n{table(given.folder, present)}\n{END}{tail}")

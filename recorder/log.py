@@ -15,11 +15,9 @@ clocks of steps come from the program (``clocks``), memory is not read.
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import uuid
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -28,6 +26,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gpusimbench.recorder.announced import check_announced
 from gpusimbench.recorder.capture.array_hashes import ArrayHashWriter, Hashed, checked_name, hashed
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
@@ -35,7 +34,7 @@ from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.failure import cause_of
 from gpusimbench.recorder.interruption import postponed
 from gpusimbench.recorder.open_end import closed
-from gpusimbench.recorder.plan import check, utc_now
+from gpusimbench.recorder.plan import utc_now
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
 from gpusimbench.recorder.probes.software import describe_software, package_list
@@ -45,14 +44,12 @@ from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration, open_end
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
 from gpusimbench.schemas.fields import ENV, StateField
-from gpusimbench.schemas.mcap.writer import COMPRESSIONS
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import (
     LOGGED,
     PACKAGES,
     PROGRAM,
     PROVENANCE,
-    REAL,
     SCENE,
     SIMULATION,
     Deviation,
@@ -157,55 +154,10 @@ class RecordingWriter:
             timing_covers=timing_covers,
             fresh_start=LOGGED,
         )
-        self._check()
+        check_announced(self._configuration, self._simulation, self._attachments)
         self._problems: list[tuple[str, str]] = []  # cause and sentence
         self._clocked = False
         self._within = False  # the block of the recording
-
-    def _check(self) -> None:
-        check(self._configuration)
-        c, s = self._configuration, self._simulation
-        for what, text in (
-            ("simulator", c.simulator),
-            ("version", s.version),
-            ("scene", c.scene),
-            ("device", s.device),
-        ):
-            if not text:
-                raise UsageError(f"the {what} of a recording has a name")
-        if c.simulator == REAL:
-            raise UsageError(f"'{REAL}' is the name of measured trials: gsb-record --sim {REAL} records them")
-        if c.compression not in COMPRESSIONS:
-            raise UsageError(f"compression is one of {', '.join(COMPRESSIONS)}, not '{c.compression}'")
-        if not s.fields:
-            raise UsageError("a recording of states has at least one field")
-        if twice := [name for name, count in Counter(field.name for field in s.fields).items() if count > 1]:
-            raise UsageError(f"two fields have the same group and name, {twice[0]}")
-        for field in s.fields:
-            if topics.parse_state(topics.state(field.group, field.field, 0)) is None:
-                raise UsageError(
-                    f"a group and a field are named by small letters, digits and _, no group is named {topics.VIEW}: "
-                    f"not {field.group!r}, {field.field!r}"
-                )
-            if not field.items or not field.components:
-                raise UsageError(f"{field.name} has no items or no components")
-            if field.item_units and len(field.item_units) != len(field.items):
-                raise UsageError(f"{field.name} has {len(field.item_units)} units, and {len(field.items)} items")
-            if len(set(field.items)) < len(field.items):
-                raise UsageError(f"two items of {field.name} have the same name")
-        if c.run_index < 0:
-            raise UsageError(f"run_index is at least 0, not {c.run_index}")
-        if taken := sorted({PROVENANCE, PACKAGES, PROGRAM, SIMULATION, SCENE} & set(self._attachments)):
-            raise UsageError(f"attachments named {', '.join(taken)} are the recording's own")
-        try:
-            RunConfiguration.from_json(json.loads(json.dumps(c.to_json())))
-            Simulation.from_json(s.to_json())
-        except TypeError as error:  # such as numbers of numpy
-            raise UsageError(f"options, switches and counts are plain values: {error}") from None
-        except DamagedRecording as error:
-            raise UsageError(f"the recording could not be read again: {error}") from None
-        if s.env_origins and len(s.env_origins) != c.n_env:
-            raise UsageError(f"there are {len(s.env_origins)} env origins, and {c.n_env} environments")
 
     def __enter__(self) -> Self:
         """Open the file and write what is known. UsageError where it cannot be made."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,34 +28,43 @@ MAX_TIMEOUT = 1e9
 """Longest time limit [s]."""
 
 
-def check_dt(dt: float) -> None:
-    """UsageError where no step [s] is that short or long."""
+def option(name: str) -> str:
+    """What the command line calls an argument."""
+    return f"--{name.replace('_', '-')}"
+
+
+def check_dt(dt: float, name: str = "--dt") -> None:
+    """UsageError where no step [s] is that short or long; `name` is what the caller has it by."""
     if not MIN_DT <= dt <= 1:
         raise UsageError(
-            f"--dt is a step in seconds, at least {MIN_DT:g} (times are recorded in whole nanoseconds) and at most 1, "
-            f"not {dt:g}"
+            f"{name} is a step in seconds, at least {MIN_DT:g} (times are recorded in whole nanoseconds) and at "
+            f"most 1, not {dt:g}"
         )
 
 
-def check(configuration: RunConfiguration) -> None:
-    """UsageError where the numbers cannot be."""
+def check(configuration: RunConfiguration, named: Callable[[str], str] = option) -> None:
+    """UsageError where the numbers cannot be.
+
+    named  what the caller calls the argument n_env, steps, ...; the option of the command line
+    """
     c = configuration
-    whole = {"--n-env": c.n_env, "--steps": c.steps, "--stride": c.stride}
+    whole = {"n_env": c.n_env, "steps": c.steps, "stride": c.stride}
     if "timed" in c.phases:
-        whole["--timed-steps"] = c.timed_steps
+        whole["timed_steps"] = c.timed_steps
     for name, value in whole.items():
         if value < 1:
-            raise UsageError(f"{name} is at least 1, not {value}")
+            raise UsageError(f"{named(name)} is at least 1, not {value}")
     if c.n_env > MAX_ENVS:
-        raise UsageError(f"--n-env is at most {MAX_ENVS}, not {c.n_env}")
+        raise UsageError(f"{named('n_env')} is at most {MAX_ENVS}, not {c.n_env}")
     if c.warmup < 0:
-        raise UsageError(f"--warmup is at least 0, not {c.warmup}")
-    check_dt(c.dt)
+        raise UsageError(f"{named('warmup')} is at least 0, not {c.warmup}")
+    check_dt(c.dt, named("dt"))
     if not 0 <= c.timeout <= MAX_TIMEOUT:
         raise UsageError(f"--timeout is a number of seconds up to {MAX_TIMEOUT:g}, 0 for never, not {c.timeout:g}")
     if c.steps % c.stride:
         raise UsageError(
-            f"--stride {c.stride} does not divide --steps {c.steps}, so the last state would not be recorded"
+            f"{named('stride')} {c.stride} does not divide {named('steps')} {c.steps}, so the last state would not be "
+            "recorded"
         )
     if c.intervention and Intervention.parse(c.intervention).step >= c.steps:
         raise UsageError(f"--intervene {c.intervention} comes after a step below --steps, {c.steps}")
@@ -64,9 +73,11 @@ def check(configuration: RunConfiguration) -> None:
     if c.capture not in CAPTURE_MODES:
         raise UsageError(f"--capture is {' or '.join(CAPTURE_MODES)}, not '{c.capture}'")
     if len(c.view) > MAX_VIEW or len(set(c.view)) < len(c.view):
-        raise UsageError(f"--view-env names at most {MAX_VIEW} environments, each once, not {_listed(c.view)}")
+        raise UsageError(f"{named('view_env')} names at most {MAX_VIEW} environments, each once, not {_listed(c.view)}")
     if not all(0 <= env < c.n_env for env in c.view):
-        raise UsageError(f"--view-env is from 0 to {c.n_env - 1}, as --n-env is {c.n_env}, not {_listed(c.view)}")
+        raise UsageError(
+            f"{named('view_env')} is from 0 to {c.n_env - 1}, as {named('n_env')} is {c.n_env}, not {_listed(c.view)}"
+        )
     if "import" in c.phases and not c.model:
         raise UsageError("--phases import is of a model file: --model FILE")
     unknown = set(c.phases) - set(OPTIONAL_PHASES)

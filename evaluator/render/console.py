@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from typing import IO, Any
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
@@ -12,6 +14,7 @@ from rich.text import Text
 from gpusimbench.schemas.text import line
 
 _WIDTH_WITHOUT_TERMINAL = 120
+_JOINTS = re.compile(r"(?<=[-_=/:;.,])(?=[^-_=/:;.,])")  # in numbers such as 1e-08 too, if a number fills a line
 _HANG = 4  # blanks before what a line goes on with: nothing that it says can look like another line
 
 
@@ -26,10 +29,10 @@ class Hanging:
     def __rich_console__(self, console: Any, options: Any) -> Any:
         """The parts, as rich wants them."""
         width, how = options.max_width, {"justify": options.justify, "overflow": options.overflow or "fold"}
-        parts = self._text.wrap(console, width, **how)
+        parts = _broken(self._text, width).wrap(console, width, **how)
         hang = min(self._hang, width - 1)
         if len(parts) > 1 and hang > 0:
-            parts = self._text.wrap(console, width - hang, **how)
+            parts = _broken(self._text, width - hang).wrap(console, width - hang, **how)
             for part in parts[1:]:
                 part.pad_left(hang)
         for part in parts:
@@ -39,6 +42,30 @@ class Hanging:
     def __rich_measure__(self, console: Any, options: Any) -> Any:
         """How much room it takes."""
         return Measurement.get(console, options, self._text)
+
+
+def pieces(word: str) -> list[str]:
+    """Parts of a word behind which it may be broken if it is too long for a line: hyphens and the like."""
+    return [part for part in _JOINTS.split(word) if part]
+
+
+def _broken(text: Text, width: int) -> Text:
+    """The text with line breaks in words that are longer than a line, behind hyphens and the like."""
+    ends, at = [], 0
+    for word in re.split(r"( +)", text.plain):
+        if cell_len(word) > width:
+            filled = 0
+            for piece in pieces(word):
+                if filled and filled + cell_len(piece) > width:
+                    ends.append(at)
+                    filled = 0
+                filled += cell_len(piece)
+                at += len(piece)
+        else:
+            at += len(word)
+    if not ends:
+        return text
+    return Text("\n").join(text.divide(ends))
 
 
 class Screen(Console):  # type: ignore[misc]  # rich is not typed for us

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import IO
 
 from rich.cells import cell_len
 from rich.console import Console, Group, RenderableType
-from rich.table import Table as RichTable
 from rich.text import Text as RichText
 
-from gpusimbench.evaluator.render.console import Hanging, make_console, plain_table
+from gpusimbench.evaluator.render.console import Hanging, make_console, pieces, plain_table
 from gpusimbench.evaluator.render.document import (
     NONE,
     Beside,
@@ -39,16 +40,19 @@ _SIDEWAYS = 22
 _HEAD = 32
 _GAP = 2
 _LEAST = 10
+_LEAST_OF_NAMES = 20
+"""Characters of names, where they have as many: with less room, rows stand side by side."""
+
 _NAME = 64
 """Characters of a row's name that stand on one line where the name has as many and there is room."""
-
-_WRAPPED = 40
-"""Characters to which names are wrapped before other columns are."""
 
 _UNBROKEN = 24
 """Characters of a word that stand on one line: no number has more, and flags of a compiler leave no room to others."""
 
 _MOST_SIDEWAYS = 4
+
+_Sizes = tuple[tuple[int, ...], ...]
+"""Lengths of the words of each text of a cell."""
 _LONGEST_NAME = 32
 
 
@@ -165,49 +169,81 @@ def _rich_table(titles: Sequence[str], rows: Sequence[Sequence[Cell]], width: in
     for index, column in enumerate(made.columns):
         numeric = all(row[index].value is not None or row[index].text == NONE for row in rows)
         column.justify = "right" if index and numeric else "left"
-    names = [titles[0], *(text for row in rows for text in row[0].lines)]
-    made.columns[0].width = max(_LEAST, min(max(map(len, names)), _NAME, width - _needed(titles, rows) - _GAP))
-    _keep_words_whole(made, titles, rows, width)
+    for index, of_column in enumerate(_widths(titles, rows, width - _GAP * len(titles))):
+        made.columns[index].width = of_column
     for row in rows:
         made.add_row(*map(_rich_cell, row))
     return made
 
 
-def _keep_words_whole(made: RichTable, titles: Sequence[str], rows: Sequence[Sequence[Cell]], width: int) -> None:
-    """Set the widths of columns where there is no room for all: rich would break words, and part of a number misleads.
+def _widths(titles: Sequence[str], rows: Sequence[Sequence[Cell]], space: int) -> list[int]:
+    """The widths of columns in a space: rich would break words, and part of a number misleads.
 
-    Each column has room for its longest word, up to _UNBROKEN characters, behind the blanks of a line that goes on;
-    columns that need the least more get it first. Where not even that fits, the table is wider than the terminal.
+    Each column has room for its longest word, up to _UNBROKEN characters, behind the blanks of a line that goes on.
+    Names have room for more, and may be broken behind a hyphen. What is left goes, again and again, to the column in
+    which a character makes most of a difference. Where not even the longest words fit, the table is wider than the
+    space.
     """
-    texts = [[title, *(said for row in rows for said in row[i].lines)] for i, title in enumerate(titles)][1:]
-    whole = [max(cell_len(line(text)) for text in column) for column in texts]
-    words = [
-        max((min(_UNBROKEN, cell_len(line(word))) for text in column for word in text.split()), default=0)
-        for column in texts
+    columns = [
+        Counter([_sizes([title]), *(_sizes(row[index].lines) for row in rows)]) for index, title in enumerate(titles)
     ]
-    least = [min(all_of, word + _GAP) for all_of, word in zip(whole, words, strict=True)]
-    space = width - _GAP * len(titles)
-    first = made.columns[0].width or _LEAST
-    if first + sum(whole) <= space:
-        return
-    if space - sum(whole) >= min(first, _WRAPPED):  # a name in two lines reads better than a number in two
-        made.columns[0].width = space - sum(whole)
-        return
-    made.columns[0].width = first = max(_LEAST, min(first, space - sum(least)))
-    room = max(0, space - first - sum(least))
-    for index in sorted(range(len(texts)), key=lambda i: whole[i] - least[i]):
-        more = min(room, whole[index] - least[index])
-        made.columns[index + 1].width = least[index] + more
-        room -= more
+    whole = [max(sum(words) + len(words) - 1 for cell in of for words in cell) for of in columns]
+    whole[0] = min(whole[0], _NAME)
+    words = [_longest(titles[index], [row[index] for row in rows], joints=not index) for index in range(len(titles))]
+    widths = [min(all_of, word + _GAP) for all_of, word in zip(whole, words, strict=True)]
+    widths[0] = max(_LEAST, min(whole[0], max(_LEAST_OF_NAMES, widths[0])))
+    gains = [_gain(of, width, space) for of, width in zip(columns, widths, strict=True)]
+    while possible := [
+        (gain, more, index) for index, (gain, more) in enumerate(gains) if gain and more <= space - sum(widths)
+    ]:
+        _, more, index = max(possible)
+        widths[index] += more
+        gains[index] = _gain(columns[index], widths[index], space)
+    return widths
 
 
-def _needed(titles: Sequence[str], rows: Sequence[Sequence[Cell]]) -> int:
-    """Characters that all columns but the first need at least: their longest words, with the gaps between columns."""
-    columns = [[title, *(said for row in rows for said in row[i].lines)] for i, title in enumerate(titles) if i]
-    return sum(
-        _GAP + max((min(_UNBROKEN, len(word)) for text in texts for word in text.split()), default=0)
-        for texts in columns
-    )
+def _sizes(texts: Iterable[str]) -> _Sizes:
+    return tuple(tuple(map(cell_len, line(text).split(" "))) for text in texts)
+
+
+def _longest(title: str, cells: Sequence[Cell], *, joints: bool) -> int:
+    """Characters of the longest word of a column, or of what stands between the joints of its words."""
+    found = (word for text in (title, *(said for one in cells for said in one.lines)) for word in line(text).split())
+    parts = (part for word in found for part in (pieces(word) if joints else [word]))
+    return max((min(_UNBROKEN, cell_len(part)) for part in parts), default=0)
+
+
+def _gain(cells: Counter[_Sizes], width: int, most: int) -> tuple[float, int]:
+    """What a column gains by each of the characters that it needs to have fewer lines, and their number; no gain where
+    `most` characters are too few for that.
+
+    cells  how many have texts of words of such lengths
+    """
+    now = _cost(cells, width)
+    if most < 1 or _cost(cells, width + most) == now:
+        return 0.0, 0
+    more = 1 + bisect_left(range(1, most + 1), True, key=lambda more: _cost(cells, width + more) < now)
+    return (now - _cost(cells, width + more)) / more, more
+
+
+def _cost(cells: Counter[_Sizes], width: int) -> int:
+    """The sum of squared numbers of lines: the tallest cell of a row decides on its height."""
+    return sum(times * sum(_lines(words, width) for words in cell) ** 2 for cell, times in cells.items())
+
+
+def _lines(words: Sequence[int], width: int) -> int:
+    """Lines of a text; those of a text that goes on are shorter."""
+    if sum(words) + len(words) - 1 <= width:
+        return 1
+    width, count, filled = max(1, width - _GAP), 1, -1
+    for word in words:
+        if filled + 1 + word <= width:
+            filled += 1 + word
+        else:
+            count += 1 if filled >= 0 else 0
+            count += max(0, -(-word // width) - 1)
+            filled = (word - 1) % width + 1 if word else 0
+    return count
 
 
 def _rich_cell(said: Cell) -> RenderableType:

@@ -10,6 +10,7 @@ from functools import cached_property
 from itertools import chain
 from typing import Any, Generic, Protocol, TypeVar
 
+from gpusimbench.evaluator.read.confirmed import unconfirmed
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Place
@@ -135,12 +136,14 @@ def shown_status(recording: Described) -> str:
 
 
 def status_notes(group: Group[Described]) -> list[str]:
-    """What a reader must know of the runs that no metric is computed from."""
+    """What a reader must know of runs that no metric is computed from, or that may not be on the disk."""
     found: dict[str, list[int]] = {}
     for recording in group.recordings:
         run = recording.configuration.run_index
         if recording.status != "complete":
             found.setdefault(f"{shown_status(recording)}: {recording.reason}", []).append(run)
+        if recording.status != "incomplete" and (why := unconfirmed(recording.path)):
+            found.setdefault(why, []).append(run)
         for lost in recording.dropouts:
             found.setdefault(f"lost data: {lost}", []).append(run)
     return [_note(what, runs) for what, runs in found.items()]

@@ -12,6 +12,7 @@ from gpusimbench.evaluator.runs.groups import Described, GroupKey, precisions
 from gpusimbench.schemas.provenance import engine_name
 from gpusimbench.schemas.text import cut, first
 from gpusimbench.schemas.treatment import initial_words
+from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS, shown_seeds
 
 Given = Mapping[str, frozenset[str]]
 """By simulator, the names of the options that a user gave for any of its runs."""
@@ -201,7 +202,8 @@ def _fewest(own: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list
 
 
 def _setting(name: str, value: Any) -> str:
-    return cut(f"{name}={value}", _SHOWN_LENGTH)
+    shown = shown_seeds(name, str(value)) if name in (RESET_KEYS, RESET_SEEDS) else value
+    return cut(f"{name}={shown}", _SHOWN_LENGTH)
 
 
 def _chosen(key: GroupKey, given: frozenset[str]) -> dict[str, Any]:

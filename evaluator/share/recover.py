@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from gpusimbench.evaluator.read.confirmed import unconfirmed
 from gpusimbench.evaluator.read.copying import Copier, records_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
@@ -59,7 +60,8 @@ def recover(source: Path, path: Path) -> Recovered:
     of it can be read.
     """
     if _is_whole(source):
-        raise UsageError(f"{source} is a whole file; there is nothing to recover")
+        copied = "; copy it under its final name, and check the copy" if unconfirmed(source) else ""
+        raise UsageError(f"{source} is a whole file; there is nothing to recover{copied}")
     end, damage = len(MAGIC), ""
     with new_file(path) as target:
         copier = Copier(target, source, compression=_compression(source))

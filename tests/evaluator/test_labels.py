@@ -31,6 +31,24 @@ def named(folder: Path, *kinds: dict[str, Any]) -> list[str]:
             ["synthetic [impl=jax]", "synthetic [impl=warp]"],
         ),
         (
+            [{"options": {"rng": f"uint32 4x2 keys, hash {n}7dc4e2a90b3f581"}} for n in (3, 8)]
+            + [{"options": {"rng": "seed 3"}}],
+            ["synthetic [rng=37dc4e2a]", "synthetic [rng=87dc4e2a]", "synthetic [rng=seed 3]"],
+        ),
+        (
+            [
+                {"options": {"seeds": ", ".join(map(str, seeds))}}
+                for seeds in (range(5, 69), range(5, 70), (7, 5), (*range(64), 99), (*range(64), 98))
+            ],
+            [
+                "synthetic [seeds=5..68]",
+                "synthetic [seeds=5..69]",
+                "synthetic [seeds=65 of hash 88520199]",
+                "synthetic [seeds=65 of hash f00bfa6f]",
+                "synthetic [seeds=7, 5]",
+            ],
+        ),
+        (
             [{"options": {"solver": "xpbd", "relaxation": 0.9}}, {"options": {"solver": "mujoco"}}],
             ["synthetic [relaxation=0.9, solver=xpbd]", "synthetic [solver=mujoco, relaxation=unset]"],
         ),

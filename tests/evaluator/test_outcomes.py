@@ -14,11 +14,14 @@ from scipy.stats import binom
 
 from gpusimbench.evaluator.cli.eval import main as evaluate
 from gpusimbench.evaluator.json_values import values_of
+from gpusimbench.evaluator.render.document import Facts
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.leaders import fastest
+from gpusimbench.evaluator.report.sections.overview import overview
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import DistinctRuns, Throughput
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -82,6 +85,23 @@ def test_the_slowest_outcome_is_ranked(found: Evaluation) -> None:
     (pair,) = fastest([mjx, steady])
     assert pair.first is not None and pair.second is not None
     assert (pair.first.result.label, pair.second.result.label) == ("steady", "mjx")
+
+
+def test_one_simulator_alone_is_ranked_alike(found: Evaluation) -> None:
+    """Show of a simulator that nobody is beside the group whose slowest outcome is fastest, as ranks elsewhere do."""
+    (mjx,) = (result for result in found.results if result.group.key.simulator == "mjx")
+    alone = replace(found, results=(mjx,))
+    shown = [
+        cell for block in overview(Source(alone, False, "")) if isinstance(block, Facts) for _, cell in block.pairs
+    ]
+    assert [cell.text for cell in shown] == ["776 to 789"]
+    assert shown[0].notes[-1] == "the slowest of 3 outcomes"
+    fps = replace(mjx.metrics["fps"], value=1000.0, details=Throughput())
+    steady = replace(mjx, label="steady", metrics={**mjx.metrics, "fps": fps})  # slower than the mean of the other
+    for results in ((mjx, steady), (steady, mjx)):
+        both = overview(Source(replace(alone, results=results), False, ""))
+        (said,) = [cell for block in both if isinstance(block, Facts) for _, cell in block.pairs]
+        assert said.notes == ("steady, 16 envs",)
 
 
 def text_in(page: str) -> str:

@@ -64,5 +64,5 @@ COMPENSATED = ARM.format(joint=' actuatorgravcomp="true" actuatorfrcrange="-1 1"
 )
 def test_what_links_and_joints_do_not_have(said: str, body: str) -> None:
     """Refuse what would be missing from the links and joints of a USD stage."""
-    with pytest.raises(Refused, match=f"PhysX is not given the {said}"):
+    with pytest.raises(Refused, match=f"PhysX and Isaac Lab are not given the {said}"):
         plan(model_of(body), "a.xml")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,10 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.cli.check import main as check
+from gpusimbench.evaluator.cli.diff import main as diff
+from gpusimbench.evaluator.cli.eval import main as evaluate
 from gpusimbench.evaluator.cli.info import main as info
+from gpusimbench.evaluator.cli.share import main as share
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.scenes.registry import make_scene
@@ -133,9 +138,15 @@ def test_runs_are_evaluated(tmp_path: Path, gsb_eval: Command) -> None:
 @pytest.mark.parametrize(
     ("others", "message"),
     [
-        ({"n_env": 0}, "--n-env is at least 1"),
-        ({"stride": 3}, "does not divide"),
-        ({"dt": 0.0}, "--dt is a step in seconds"),
+        ({"n_env": 0}, "^n_env is at least 1"),
+        ({"n_env": 10**9}, "^n_env is at most"),
+        ({"steps": 0}, "^steps is at least 1"),
+        ({"stride": 3}, "^stride 3 does not divide steps 10"),
+        ({"warmup": -1}, "^warmup is at least 0"),
+        ({"timed_steps": -1}, "^timed_steps is at least 1"),
+        ({"dt": 0.0}, "^dt is a step in seconds"),
+        ({"view": (0, 0)}, "^view names at most 4 environments, each once"),
+        ({"view": (4,)}, "^view is from 0 to 3, as n_env is 4"),
         ({"simulator": ""}, "the simulator of a recording has a name"),
         ({"version": ""}, "the version of a recording has a name"),
         ({"simulator": "real"}, "is the name of measured trials"),
@@ -294,6 +305,35 @@ def test_no_file_is_overwritten(tmp_path: Path) -> None:
     with pytest.raises(DataLost), writer(tmp_path / "b.mcap"):
         raise DataLost("full")
     assert [path.name for path in tmp_path.glob("b*")] == ["b.mcap.partial"]
+
+
+def test_a_flush_that_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Warn of a file with an end record that did not reach the disk, though every byte of it can be read."""
+
+    def failing(_: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", failing)
+        with pytest.raises(DataLost, match="Input/output error"), writer(tmp_path / "a.mcap") as log:
+            log.append(*states())
+    left = tmp_path / "a.mcap.partial"
+    assert check([str(left)]) == 0
+    said = capsys.readouterr().out
+    assert "warning confirmed: not confirmed by its recorder to be on the disk" in said
+    assert "whole and unchanged" in (info([str(left)]), capsys.readouterr().out)[1]
+    for given in ([str(left)], [str(tmp_path), "--all"]):
+        evaluate(given)
+        assert "not confirmed by its recorder to be on the disk" in " ".join(capsys.readouterr().out.split()), given
+    assert diff([str(left), "--env", "0", "--env", "1"]) in (0, 4)
+    assert "a.mcap.partial is not confirmed by its recorder" in " ".join(capsys.readouterr().out.split())
+    assert share(["recover", str(left)]) == 2
+    assert "nothing to recover; copy it under its final name, and check the copy" in capsys.readouterr().err
+    left.rename(tmp_path / "a.mcap")
+    assert check([str(tmp_path / "a.mcap")]) == 0
+    assert "confirmed" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

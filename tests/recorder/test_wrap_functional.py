@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from functools import cache, partial
 from importlib import import_module
@@ -22,6 +23,7 @@ from gpusimbench.evaluator.read.episodes import count_episodes, episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.device import rows
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
+from gpusimbench.recorder.vector.device.states import seeds_of
 from gpusimbench.schemas.images import image_hashes
 from tests.conftest import run_python
 
@@ -153,13 +155,14 @@ def test_equal_keys_give_equal_files(tmp_path: Path, capsys: pytest.CaptureFixtu
         return following, (following, action)
 
     _, (states, given) = jax.lax.scan(step, first, actions)
-    record_rollout(env, tmp_path / "scan.mcap", first, states, given, dt=0.1)
-    found = {name: read(tmp_path / f"{name}.mcap") for name in ("a", "b", "c", "scan")}
+    for name, rng in (("scan", keys()), ("unknown", None), ("other", keys(5))):
+        record_rollout(env, tmp_path / f"{name}.mcap", first, states, given, dt=0.1, rng=rng)
+    found = {name: read(tmp_path / f"{name}.mcap") for name in ("a", "b", "c", "scan", "unknown", "other")}
     assert compare.compare(found["a"], found["b"]).bit_identical
     assert compare.compare(found["a"], found["scan"]).bit_identical
     assert not compare.compare(found["a"], found["c"]).bit_identical
-    told = [found[name].configuration.options.get("rng") for name in ("a", "b", "c", "scan")]
-    assert told[0] == told[1] != told[2] and told[3] is None
+    told = [recording.configuration.options.get("rng") for recording in found.values()]
+    assert told[0] == told[1] == told[3] != told[2] == told[5] and told[4] is None
 
     # keys are what seeds are elsewhere: not another configuration, and not seed 0
     base, head = ([str(tmp_path / f"{name}.mcap") for name in names] for names in ("ac", "b"))
@@ -167,9 +170,28 @@ def test_equal_keys_give_equal_files(tmp_path: Path, capsys: pytest.CaptureFixtu
     (configuration,) = json.loads((tmp_path / "compared.json").read_text())["compared"]
     assert "2 seeds of base and 1 of head, 1 on both sides, are one sample" in configuration["notes"]
     assert configuration["differs"] == []
+    base, head = ([str(tmp_path / f"{name}.mcap") for name in names] for names in (("scan", "other"), ("a", "unknown")))
+    compare_command(["--base", *base, "--head", *head, "--no-cache", "--json", str(tmp_path / "rollouts.json")])
+    (configuration,) = json.loads((tmp_path / "rollouts.json").read_text())["compared"]
+    said = (
+        "2 seeds of base and 2 of head, 1 on both sides, are one sample; each run without a seed counts as another seed"
+    )
+    assert said in configuration["notes"]
     capsys.readouterr()
-    assert info_command([base[0]]) == 0
+    assert info_command([head[1]]) == 0
+    assert f"{N_ENV} environments, dt 0.1 s, seeds not given" in capsys.readouterr().out
+    assert info_command([head[0]]) == 0
     assert f"{N_ENV} environments, dt 0.1 s, rng {told[0]}" in capsys.readouterr().out
+
+
+def test_keys_are_described() -> None:
+    """Name the seed of a key that jax.random made of one, and the hash of keys that were split."""
+    for key in (jax.random.key(3), jax.random.PRNGKey(3), np.asarray(jax.random.PRNGKey(3))):
+        assert seeds_of(key) == {"rng": "seed 3"}
+    split = [seeds_of(keys(seed))["rng"] for seed in (3, 4)]
+    assert all(re.fullmatch(rf"uint32 {N_ENV}x2 keys, hash [0-9a-f]{{16}}", text) for text in split)
+    assert split[0] != split[1]
+    assert seeds_of(None) == {"seeds": "not given"}
 
 
 def test_steps_transfer_nothing(tmp_path: Path) -> None:

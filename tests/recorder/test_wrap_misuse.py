@@ -148,6 +148,7 @@ def test_rollouts_of_nothing(tmp_path: Path) -> None:
         ({"actions": actions[:0], "states": jax.tree.map(lambda array: array[:0], states)}, "stacked no states"),
         ({"states": None}, "NoneType has no obs"),
         ({"actions": None}, "action is NoneType, and no array"),
+        ({"rng": 3}, "rng is no key of JAX"),
         ({"infos": "far"}, r"infos is a list of names, such as \(\"far\",\)"),
     ):
         given = {"states": states, "actions": actions, **wrong}

@@ -17,6 +17,7 @@ from gpusimbench.evaluator.check.integrity.streams import check_streams
 from gpusimbench.evaluator.check.integrity.summary import check_summary
 from gpusimbench.evaluator.check.integrity.view import check_view
 from gpusimbench.evaluator.read.addresses import fetched
+from gpusimbench.evaluator.read.confirmed import unconfirmed
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, state_header_in
@@ -93,8 +94,8 @@ def _examine_index(location: Location) -> Integrity:
         problems.add(Kind.record, without_path(error, location))
         problems.skip(str(error), *(kind for kind in Kind if kind is not Kind.record))
         return Integrity(location, problems, None, str(error), None, None, None, None, complete=False)
-    end = read_end(found, problems)
-    problems.skip("the file is elsewhere and was not read as a whole", *(kind for kind in Kind if kind is not Kind.end))
+    end = _end_of(location, found, problems)
+    problems.skip("the file is elsewhere and was not read as a whole", *(set(Kind) - {Kind.end, Kind.unconfirmed}))
     return Integrity(
         location, problems, recording, "", found, recording.provenance, recording.simulation, end, complete=False
     )
@@ -112,7 +113,7 @@ def _examine(path: Path, named: Place, *, verify: bool) -> Integrity:
     except RecordingError as error:
         not_opened = without_path(error, named)
     found = scan(source, problems)
-    end = read_end(found, problems)
+    end = _end_of(named, found, problems)
     budget = Budget()
     provenance = _attached(Provenance, recording and recording.provenance, found, PROVENANCE, problems, budget)
     if provenance is None:
@@ -145,6 +146,13 @@ def _examine(path: Path, named: Place, *, verify: bool) -> Integrity:
         problems.add(Kind.stream, not_opened)
     found.close()  # many files are examined before any of them is reported
     return Integrity(named, problems, recording, not_opened, found, provenance, simulation, end, complete=verify)
+
+
+def _end_of(named: Place, found: Scan, problems: Problems) -> Any:
+    end = read_end(found, problems)
+    if end is not None and (why := unconfirmed(named)):
+        problems.add(Kind.unconfirmed, why)
+    return end
 
 
 def _outline(container: Container) -> Scan:

@@ -38,10 +38,11 @@ class Kind(Enum):
     contradiction = "two parts of the file say what cannot both be"
     dropout = "the recorder says that data was lost"
     view = "what viewers are told to draw is not what the states say"
+    unconfirmed = "the file has an end record, and still the name under which it was written"
     observer = "the states of the timed phase and of the capture phase differ at the same step"
 
 
-REMARKS = frozenset({Kind.unknown_record, Kind.crc_missing, Kind.observer})
+REMARKS = frozenset({Kind.unknown_record, Kind.crc_missing, Kind.unconfirmed, Kind.observer})
 """Kinds that are worth knowing; the file can be used."""
 
 DAMAGE = frozenset(Kind) - REMARKS - {Kind.fingerprint, Kind.clock, Kind.contradiction}

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
-from gpusimbench.evaluator.missing import known
-from gpusimbench.evaluator.render.cells import estimate, ranked
+from gpusimbench.evaluator.render.cells import ranked
 from gpusimbench.evaluator.render.document import (
     Beside,
     Block,
@@ -29,7 +28,7 @@ from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, speaks
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import LAWS, NOT_COMPARED, QUESTIONS, TO_REFERENCE, judged, usual
-from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
@@ -169,22 +168,21 @@ def _fastest_table(results: Sequence[GroupResult]) -> Iterator[Table]:
 
 
 def _speed_alone(results: Sequence[GroupResult]) -> Iterator[Facts]:
-    """The highest throughput in each scene of a simulator that nobody is beside."""
+    """The highest throughput in each scene of a simulator that nobody is beside, ranked as `leaders` does."""
     if len({r.group.key.simulator for r in results}) != 1:
         return
     best: dict[str, GroupResult] = {}
     for result in results:
-        speed = known(result.metrics[FPS.name].value)
-        before = best.get(result.group.key.scene)
-        if speed is not None and (before is None or speed > (known(before.metrics[FPS.name].value) or 0.0)):
+        speed, before = ranked_throughput(result.metrics[FPS.name]), best.get(result.group.key.scene)
+        if speed > (ranked_throughput(before.metrics[FPS.name]) if before else 0.0):
             best[result.group.key.scene] = result
     if best:
         yield facts(*((f"throughput, {scene} [{FPS.unit}]", _speed(result)) for scene, result in best.items()))
 
 
 def _speed(result: GroupResult) -> Cell:
-    said = estimate(result.metrics[FPS.name])
-    return Cell(said.text, said.value, said.ci95, said.range, (f"{result.label}, {result.group.key.n_env:,} envs",))
+    said = ranked(result.metrics[FPS.name])
+    return replace(said, notes=(f"{result.label}, {result.group.key.n_env:,} envs", *said.notes))
 
 
 def _where(found: Fastest) -> Cell:

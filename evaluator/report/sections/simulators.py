@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.render.cells import estimate
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.cells import ranked
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Facts, Item, Section, facts, items, key_of
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections.divergence import onset
@@ -13,7 +13,7 @@ from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.sections.values import column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, usual
-from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
 from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS
 from gpusimbench.evaluator.results.result import GroupResult
@@ -50,8 +50,8 @@ def _blocks(source: Source, results: list[GroupResult]) -> Iterator[Block]:
     lines = []
     if hidden := [r for r in results if r in source.hidden]:
         sizes = sorted({r.group.key.n_env for r in hidden})
-        fastest = max(hidden, key=lambda r: known(r.metrics[FPS.name].value) or 0.0)
-        speed = estimate(fastest.metrics[FPS.name]).text
+        fastest = max(hidden, key=lambda r: ranked_throughput(r.metrics[FPS.name]))
+        speed = ranked(fastest.metrics[FPS.name]).text
         said = f"{plural(len(hidden), 'group')} of sweeps, {sizes[0]:,} to {sizes[-1]:,} envs"
         said = f"{said}; fastest: {speed} {FPS.unit} at {fastest.group.key.n_env:,} envs: see scaling"
         lines.append(Item(said, link="scaling"))

@@ -57,9 +57,10 @@ def _speeds(source: Source, results: list[GroupResult]) -> Iterator[Block]:
     reasons = Reasons()
     beside = [one for one in timed.columns(r.timed for r in results) if one is not timed.SETTINGS_IN_FORCE]
     columns = [column_of(FPS, reasons, _below), *((Column(one.title), _timed(one)) for one in beside)]
-    found = of_groups(
-        source, "throughput", "Throughput", results, columns, reasons, list(_between_clocks(source, results))
-    )
+    legend = list(_between_clocks(source, results))
+    if any(timed.settings(r.timed) != NONE for r in results):
+        legend.insert(0, f"solver: {timed.SETTINGS_IN_FORCE.title} in force; a dash for what the engine does not state")
+    found = of_groups(source, "throughput", "Throughput", results, columns, reasons, legend)
     if found.rows:
         yield found
     by_scene = ordered(results, "scene")
@@ -109,7 +110,7 @@ def _below(result: GroupResult) -> Iterable[str]:
         yield f"another process on the GPU: {told}"
     yield from _fewer(FPS)(result)
     if force != NONE:
-        yield f"{timed.SETTINGS_IN_FORCE.title}: {force}"
+        yield f"solver: {force}"
 
 
 def _between_clocks(source: Source, results: list[GroupResult]) -> Iterator[str]:

@@ -148,7 +148,7 @@ def collides(model: Any, geom: int) -> bool:
 
 
 def _refuse(model: Any, file: str) -> None:
-    """Name what PhysX is not given here, and what would otherwise be missing."""
+    """Name what PhysX and Isaac Lab's backends are not given here, and what would otherwise be missing."""
     kinds = mujoco.mjtGeom
     said: list[str] = []
     balls = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_BALL]
@@ -178,7 +178,8 @@ def _refuse(model: Any, file: str) -> None:
     ]
     if said:
         more = f", and {len(said) - 3} more" if len(said) > 3 else ""
-        raise Refused(f"PhysX is not given the {', '.join(said[:3])}{more} of {file}; MuJoCo's engines and Newton are")
+        what = f"the {', '.join(said[:3])}{more} of {file}"
+        raise Refused(f"PhysX and Isaac Lab are not given {what}; MuJoCo's engines and the simulator newton are")
 
 
 def joint_frame(model: Any, joint: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.recorder.capture.array_hashes import hashed
 from gpusimbench.recorder.vector.device import states
 from gpusimbench.recorder.vector.device.history import Which
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
@@ -14,7 +13,6 @@ from gpusimbench.recorder.vector.device.log import DeviceLog, HostLog
 from gpusimbench.recorder.vector.ending import Ending
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.vector import RESET_KEYS
 
 _TRACED = (
     "{0} is called while JAX compiles a function (jit, vmap or scan), where a recording sees no numbers: call {0} "
@@ -52,7 +50,7 @@ class RecordedFunctional(Ending):
         self._layout: states.Layout | None = None
         self._key: Any = None  # of the state that the last call of step returned
         self._began: Any = None  # of that of the last reset, to which the user may come back
-        self._rng = ""
+        self._began_with = states.seeds_of(None)
 
     def __getattr__(self, name: str) -> Any:
         if name == "_env":  # in a copy that is not made yet
@@ -67,7 +65,7 @@ class RecordedFunctional(Ending):
         if not self._log.ended:
             self._began = states.key_of(state)
             if not self._log.begun:
-                self._rng = _described(rng)
+                self._began_with = states.seeds_of(rng)
         return state
 
     def step(self, state: Any, action: Any) -> Any:
@@ -114,9 +112,7 @@ class RecordedFunctional(Ending):
         if self._layout is None:
             layout = states.Layout(state, infos=self._infos, physics=self._physics, full=states.cut_after(self._env))
             about = replace(
-                states.about(
-                    self._env, state, {RESET_KEYS: self._rng} if self._rng else {}, self._infos, physics=self._physics
-                ),
+                states.about(self._env, state, self._began_with, self._infos, physics=self._physics),
                 images=self._images,
             )
             self._log.begin(
@@ -143,11 +139,3 @@ def _same(one: Any, other: Any) -> bool:
         and len(one[0]) == len(other[0])
         and all(a is b for a, b in zip(one[0], other[0], strict=True))
     )
-
-
-def _described(rng: Any) -> str:
-    import jax
-
-    keys = jax.random.key_data(rng)
-    found = hashed(keys, "rng")
-    return f"{found.arrays[0].rpartition(' ')[0]} keys, hash {found.hashes[0]:016x}"

@@ -27,6 +27,7 @@ def record_rollout(
     dt: float | None = None,
     infos: Sequence[str] = (),
     physics: bool = False,
+    rng: Any = None,
 ) -> None:
     """Write a recording of the states that jax.lax.scan stacked: of environments that are stepped in compiled code.
 
@@ -36,7 +37,7 @@ def record_rollout(
             return following, (following, action)
 
         last, (states, actions) = jax.lax.scan(step, first, keys)
-        record_rollout(env, "a.mcap", first, states, actions)
+        record_rollout(env, "a.mcap", first, states, actions, rng=keys_of_the_reset)
 
     env      that made them, as of wrap; it is not stepped, and says what it is and how long a step takes
     path     as of wrap
@@ -44,11 +45,13 @@ def record_rollout(
     states   the state after each step, [step, env, ...]: obs, reward, done, and of info and metrics what is recorded
     actions  that led to them, [step, env, ...]
     dt, infos, physics  as of wrap
+    rng      keys that reset was given for the first state; for gsb-compare, rollouts with the same keys are repetitions
+             of each other, and a rollout without keys is a repetition of no other
 
     The recording is the one of wrap. Arrays come to the host 50 steps at a time. Returns nothing. Raises UsageError
     where arrays are not of the same steps, or as of wrap.
     """
-    if of_states.traced(first, states, actions):
+    if of_states.traced(first, states, actions, rng):
         raise UsageError("record_rollout is called behind the scan, outside of functions that JAX compiles")
     of_states.check_state(states)
     names = names_of(infos)
@@ -65,7 +68,7 @@ def record_rollout(
     for name, array in rows.items():
         if tuple(array.shape[1:]) != tuple(begin[name].shape) or len(array) != steps:
             raise UsageError(f"{name} has shape {tuple(array.shape)}, and not {(steps, *begin[name].shape)}")
-    about = of_states.about(env, first, {}, names, physics=physics)
+    about = of_states.about(env, first, of_states.seeds_of(rng), names, physics=physics)
     log = HostLog(path, steps=steps, dt=given_or(dt, of_states.step_of(env)), about=about)
     try:
         log.append({name: np.asarray(array)[None] for name, array in begin.items()}, {})

@@ -8,13 +8,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+import numpy as np
+
+from gpusimbench.recorder.capture.array_hashes import hashed
 from gpusimbench.recorder.simulators.jax.runtime import name_of
 from gpusimbench.recorder.vector.device.history import DONE, INFO, TRUNCATION
 from gpusimbench.recorder.vector.device.log import About
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import leaves
-from gpusimbench.schemas.vector import PHYSICS
+from gpusimbench.schemas.vector import NO_SEED, PHYSICS, RESET_KEYS, RESET_SEEDS, keys_said
 from gpusimbench.schemas.view.geometry import GEOMETRY, MEDIA_TYPE
 
 _FIRST = "first_obs"  # ends the name of the info that a wrapper resets from
@@ -111,6 +114,25 @@ def traced(*trees: Any) -> bool:
     import jax
 
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
+
+
+def seeds_of(rng: Any) -> dict[str, str]:
+    """The option that tells by which keys environments were reset, by seed or hash; that none is known of None.
+
+    UsageError where they are no array of numbers.
+    """
+    if rng is None:
+        return {RESET_SEEDS: NO_SEED}
+    import jax
+
+    try:
+        data = np.asarray(jax.random.key_data(rng))
+    except TypeError as error:
+        raise UsageError(f"rng is no key of JAX: {error}") from None
+    found = hashed(data, "rng")
+    # jax.random.key(seed) has the words 0 and seed; a key that was split has others, but for one of 2**33
+    seed = int(data[1]) if data.shape == (2,) and data[0] == 0 and data[1] < 2**31 else None
+    return {RESET_KEYS: keys_said(found.arrays[0].rpartition(" ")[0], found.hashes[0], seed)}
 
 
 def about(env: Any, state: Any, options: Mapping[str, str], infos: Sequence[str], *, physics: bool) -> About:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 from markupsafe import Markup
 
+from gpusimbench.evaluator.render.console import Screen, pieces
 from gpusimbench.evaluator.render.document import (
     Beside,
     Cell,
@@ -41,7 +42,7 @@ from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.render.markdown import render_markdown
 from gpusimbench.evaluator.render.markdown_text import prose
 from gpusimbench.evaluator.render.table_files import Format, as_csv, as_latex, table_files
-from gpusimbench.evaluator.render.terminal import print_document
+from gpusimbench.evaluator.render.terminal import print_blocks, print_document
 from gpusimbench.schemas.text import line
 from tests.browser import Browser, needs_chromium
 
@@ -331,6 +332,32 @@ def test_a_long_word_takes_no_room_that_others_need() -> None:
     assert max(map(len, shown)) <= 120
     assert any(all(f"level {i}" in row for i in range(4)) for row in shown)
     assert sum(row.count("4,096 x 3") for row in shown) == 4 * 12
+
+
+NAMED = "newton [run-to-run, solver=mujoco, exclude-nondeterministic]"
+
+
+@pytest.mark.parametrize("width", [60, 80, 100, 120])
+def test_names_are_broken_behind_hyphens_alone(width: int) -> None:
+    """Leave no part of a name in a line but one that ends at a blank or behind a hyphen or the like."""
+    cells = ["16 x 3", "1 INVALID", "max_contact_points: 100%", "CONTACT_POINTS (DROPPED) at 3 recorded steps"]
+    block = table("t", "", ["group", "envs x runs", "runs", "fullest buffer", "overflow"], [[NAMED, *cells]] * 3)
+    stream = io.StringIO()
+    print_blocks([block], Screen(file=stream, width=width, highlight=False, markup=False, emoji=False))
+    shown = stream.getvalue()
+    assert max(map(len, shown.splitlines())) <= width
+    words = [word for text in (NAMED, *cells, "group envs x runs fullest buffer overflow") for word in text.split()]
+    parts = [pieces(word) for word in words]
+    allowed = {"".join(of[i:j]) for of in parts for i in range(len(of)) for j in range(i + 1, len(of) + 1)}
+    assert [word for word in shown.split() if word not in allowed] == []
+
+
+def test_room_goes_where_it_saves_lines() -> None:
+    """Give a column with tall cells the room that a column with one word a line cannot use."""
+    tall = Cell("contacts: 3.958 / 5.953 / 409 (capture); 0.7604 / 2.5 / 5 (timed)", notes=("counted at 6 steps",))
+    rows = [["brax [solver=positional]", "none", tall, "the engine does not tell of any"]] * 4
+    shown = printed(Document("", (table("t", "", ["group", "actions", "counted", "overflow"], rows),)))
+    assert len(shown.splitlines()) <= 1 + 3 * len(rows)
 
 
 def test_numbers_of_a_figure_are_in_the_page_as_csv() -> None:
