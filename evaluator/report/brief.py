@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import name_of
@@ -15,6 +15,7 @@ from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sentence
 from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.sections.episodes import counts_of, mean_of
+from gpusimbench.evaluator.report.sections.scaling import sentence as sweep_sentence
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
@@ -56,7 +57,14 @@ def _verdict(evaluation: Evaluation) -> str:
     invalid = sum(any(run.status == "invalid" for run in r.group.recordings) for r in results)
     if invalid:
         said.append(f"{plural(invalid, 'group')} with INVALID runs")
-    return f"{plural(len(results), 'group')}: " + "; ".join(said or ["no group has several runs to compare"])
+    return f"{plural(len(results), 'group')}: " + "; ".join(said or [_why_none(results)])
+
+
+def _why_none(results: Sequence[GroupResult]) -> str:
+    """Why it is not known of any group whether it repeats itself."""
+    several = [r for r in results if len(r.group.complete) > 1]
+    why = dict.fromkeys(identical(r.metrics[DISTINCT_RUNS.name]).why_not for r in several)
+    return f"runs were not compared: {'; '.join(why)}" if several else "no group has several runs to compare"
 
 
 def _says(result: GroupResult) -> str:
@@ -136,6 +144,9 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:
         yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings)}")
+    for sweep in evaluation.sweeps:
+        if sweep.long:
+            yield Text(sweep_sentence(sweep))
     for family in evaluation.convergences:
         yield Text(sentence(family))
     for one in fastest(results):
