@@ -105,7 +105,13 @@ CASES = [
         "NOT DECIDED: whether head is worse than base in throughput (1 finding in 2 configurations)",
         "NOT DECIDED: throughput (1 finding in 2 configurations)",
     ),
-    ("nothing", result(), ExitCode.NOTHING_COMPARABLE, NOTHING, "NOTHING COMPARED"),
+    (
+        "nothing",
+        result(),
+        ExitCode.NOTHING_COMPARABLE,
+        "NOTHING COMPARED: base and head have no configuration in common",
+        "NOTHING COMPARED",
+    ),
     ("how runs ended alone", result([FINE], [runs_ended()]), ExitCode.NOTHING_COMPARABLE, NOTHING, "NOTHING COMPARED"),
     (
         "no gate",
