@@ -28,10 +28,13 @@ from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
 from gpusimbench.evaluator.runs.labels import labels, options_given
+from gpusimbench.schemas.text import first
 
-_NOTES = 2
+_NOTES, _EPISODES = 2, 8
 _PLACE = ("scene", "device")
 """What names a table where there are several."""
+
+_TASKS = "Success rate and return with intervals: gsb-episodes. Where two recordings of a task part: gsb-diff A B."
 
 MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."
 
@@ -41,6 +44,8 @@ def brief(evaluation: Evaluation) -> Document:
     results = evaluation.results
     body: list[Block] = [_one(results[0])] if len(results) == 1 else [*_several(evaluation)]
     body += [Text(laws_sentence(result.laws)) for result in usual(results) if result.laws]
+    if any(map(counts_of, results)):
+        body.append(Text(_TASKS, Tone.QUIET))
     return Document(
         _verdict(evaluation),
         (*body, *_troubles(evaluation), Text(MORE, Tone.QUIET)),
@@ -136,6 +141,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for place, rows in tables.items():
         shown = table("groups", place, titles, rows)
         yield shown.without_empty_columns() if several else shown
+    told = [f"{result.label}: episodes: {said}" for result in results if (said := _episodes(result))]
+    yield from map(Text, first(told, _EPISODES, " groups with episodes"))
     for result in results:
         speed = result.metrics[FPS.name]
         if (mean := known(speed.value)) is not None and (speeds := speed.of(Throughput).speeds):

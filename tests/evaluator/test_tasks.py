@@ -1,4 +1,4 @@
-"""gsb-probe of recordings of tasks, whose environments have seeds of their own."""
+"""gsb-probe and gsb-eval of recordings of tasks, whose environments have seeds of their own."""
 
 from __future__ import annotations
 
@@ -44,3 +44,14 @@ def test_no_distance_without_positions(tmp_path: Path) -> None:
     found = held(Pairs(a, b, ((0, 0),)))
     assert not isinstance(found, Missing)
     assert (found.level, found.unit, found.max_distance) == (Level.DIFFERENT, "", 0.0)
+
+
+def test_the_first_page_of_tasks(tmp_path: Path, gsb_eval: Command) -> None:
+    """Say how many episodes ended, and what evaluates them; speak of no positions, which tasks do not record."""
+    for n in (2, 4):
+        _recorded(tmp_path / f"{n}.mcap", n)
+    shown = " ".join(gsb_eval(tmp_path, "--html", tmp_path / "report").stdout.split())
+    assert "[n_env=2]: episodes: none ended within the 12 recorded steps" in shown
+    assert "Success rate and return with intervals: gsb-episodes." in shown
+    page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+    assert "2 recordings, 1 simulator, 1 scene, 1 device." in page
