@@ -188,6 +188,9 @@ def _nothing_asked(recordings: list[Recording]) -> str:
             "recordings of tasks answer only whether runs repeat, and no two of these are runs of one configuration; "
             "gsb-diff A B compares the environments that two of them have in common, gsb-episodes their success"
         )
+    failed = [recording for recording in recordings if recording.status not in ("complete", "incomplete")]
+    if recordings and len(failed) == len(recordings):
+        return f"no run ended well: {failed[0].path} is {failed[0].status}: {failed[0].reason}"
     return "these recordings are no arms of a probe: nothing can be asked"
 
 
