@@ -25,3 +25,6 @@ PHYSICS = "physics_"
 
 SEEDS = "episode_seeds.json"
 """The attachment with the seed of each episode's reset, [env][episode], null where none is known."""
+
+DATA_SET = "dataset"
+"""Simulator of a recording that was made of a data set of demonstrations; its version is that of the format."""
