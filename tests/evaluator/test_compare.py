@@ -460,6 +460,9 @@ def test_another_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert compared(tmp_path / "base", tmp_path / "head", "--gate", "physics,bits", capsys=capsys)[0] == 0
     assert not document["compared"][0]["same_machine"]
     assert "different machines" in finding(document, "fps")["why_not"]
+    assert any(
+        "gsb-eval BASE HEAD shows both machines side by side" in one for one in document["compared"][0]["warnings"]
+    )
     assert finding(document, "states")["change"] == "same"
 
 
