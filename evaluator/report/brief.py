@@ -34,7 +34,8 @@ _NOTES, _EPISODES = 2, 8
 _PLACE = ("scene", "device")
 """What names a table where there are several."""
 
-_TASKS = "Success rate and return with intervals: gsb-episodes. Where two recordings of a task part: gsb-diff A B."
+_TASKS = "Success rate and return with intervals: gsb-episodes{}. Where two recordings of a task part: gsb-diff A B."
+_ACROSS = ", by number of environments with --across n_env"
 
 MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."
 
@@ -44,8 +45,8 @@ def brief(evaluation: Evaluation) -> Document:
     results = evaluation.results
     body: list[Block] = [_one(results[0])] if len(results) == 1 else [*_several(evaluation)]
     body += [Text(laws_sentence(result.laws)) for result in usual(results) if result.laws]
-    if any(map(counts_of, results)):
-        body.append(Text(_TASKS, Tone.QUIET))
+    if numbers := {result.group.key.n_env for result in results if counts_of(result)}:
+        body.append(Text(_TASKS.format(_ACROSS if len(numbers) > 1 else ""), Tone.QUIET))
     return Document(
         _verdict(evaluation),
         (*body, *_troubles(evaluation), Text(MORE, Tone.QUIET)),
@@ -152,7 +153,9 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for asked in evaluation.probed:
         yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings)}")
     for sweep in evaluation.sweeps:
-        if sweep.long:
+        if sweep.long and any(
+            "timed" in run.configuration.phases for point in sweep.points for run in point.recordings
+        ):
             yield Text(sweep_sentence(sweep))
     for family in evaluation.convergences:
         yield Text(sentence(family))

@@ -48,10 +48,11 @@ def test_no_distance_without_positions(tmp_path: Path) -> None:
 
 def test_the_first_page_of_tasks(tmp_path: Path, gsb_eval: Command) -> None:
     """Say how many episodes ended, and what evaluates them; speak of no positions, which tasks do not record."""
-    for n in (2, 4):
+    for n in (2, 4, 8):
         _recorded(tmp_path / f"{n}.mcap", n)
     shown = " ".join(gsb_eval(tmp_path, "--html", tmp_path / "report").stdout.split())
     assert "[n_env=2]: episodes: none ended within the 12 recorded steps" in shown
-    assert "Success rate and return with intervals: gsb-episodes." in shown
+    assert "with intervals: gsb-episodes, by number of environments with --across n_env." in shown
+    assert "N_env^max" not in shown  # nothing was timed, so no limit of the simulator was looked for
     page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
-    assert "2 recordings, 1 simulator, 1 scene, 1 device." in page
+    assert "3 recordings, 1 simulator, 1 scene, 1 device." in page
