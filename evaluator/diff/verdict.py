@@ -105,7 +105,8 @@ def _where(found: Difference, first: Divergence) -> str:
 
 def _whose(found: Difference, first: Divergence) -> str:
     """Of a task: whether what the program gave its environments differs first, or what they returned."""
-    state = first.state if first.located and first.phase == "capture" and not found.one_recording else None
+    every_step = first.step_a == first.step_b and first.located and first.phase == "capture"  # of both, up to there
+    state = first.state if every_step and not found.one_recording else None
     if state is None or not any(is_action(field.field) for field in found.compared.fields):
         return ""
     if any(map(is_action, state.fields)):

@@ -315,8 +315,19 @@ def test_without_hashes_of_the_program(tmp_path: Path, what: str, step: int, sai
                 log.append(action, seen)
         return open_recording(path)
 
+    def coarse() -> Recording:
+        with RecordingWriter(
+            tmp_path / "c.mcap", simulator="mine", version="1", scene="toy", n_env=2, dt=1.0, steps=1,
+            fields=(array_field("action", "float64"), array_field("observation", "float64")),
+        ) as log:  # fmt: skip
+            for _ in range(2):
+                log.append(np.zeros(2), np.array([0.5, 0.7]))
+        return open_recording(tmp_path / "c.mcap")
+
     found = compare(run("a", nothing), run("b", planted(what, step)))
     assert found.program is None
     assert verdict_of(found).text.endswith(said)
     (before,) = (field.first_step for field in found.compared.fields if field.field == f"env/{what}")
     assert before == step
+    if what == "action":  # of the steps between, nothing is known of the coarser one
+        assert "differ first" not in verdict_of(compare(open_recording(tmp_path / "a.mcap"), coarse())).text
