@@ -39,7 +39,7 @@ def result(*configurations: list[Finding], settings: Settings = GATED, **more: A
     )
 
 
-NOTHING = "NOTHING COMPARED: in some configuration, base and head share no quantity of an axis that has a gate"
+NOTHING = "NOTHING COMPARED: in some configuration, base and head share no quantity that the verdict depends on"
 
 FINE, WORSE, OPEN = (
     finding(Change.SAME),
