@@ -239,7 +239,7 @@ class RecordingWriter:
             )
         with postponed():
             problem = self._states.feed(rows)
-        if problem:
+        if problem and not any(cause == "NOT_FINITE" for cause, _ in self._problems):  # later ones follow from it
             self._problems.append(("NOT_FINITE", problem))
 
     def _rows(self, field: StateField, given: ArrayLike) -> NDArray[np.floating]:

@@ -124,9 +124,12 @@ class _Search:
         # a document with those that it includes: all that one of them says of folders is true of all
         documents = [path]
         elements: list[tuple[Path, ET.Element]] = []
+        unread: set[ET.Element] = set()
         for document in documents:
             self._add(document)
-            for element in _parsed(document).iter():
+            root = _parsed(document)
+            unread |= _shown_only(root)
+            for element in root.iter():
                 elements.append((document, element))
                 if element.tag == "include":
                     for name in _references(element):
@@ -136,9 +139,11 @@ class _Search:
             element.attrib[kind] for _, element in elements if element.tag == "compiler" for kind in _FOLDERS
             if kind in element.attrib
         }  # fmt: skip
+        if any(element.get("discardvisual", "true") != "true" for _, element in elements if element.tag == "compiler"):
+            unread.clear()
         assets = [path.parent / folder for folder in ("", *sorted(folders))]
         for document, element in elements:
-            for name in _references(element) if element.tag != "include" else ():
+            for name in _references(element) if element.tag != "include" and element not in unread else ():
                 last = Path(name).name  # a path may be stripped: by strippath, and always in URDF
                 places = [place / text for place in (*assets, document.parent) for text in (name, last)]
                 for file in self._existing(document, name, (), places):
@@ -153,9 +158,10 @@ class _Search:
 
     def _existing(self, document: Path, name: str, bases: tuple[Path, ...], places: Sequence[Path] = ()) -> list[Path]:
         if Path(name).is_absolute() or "://" in name or "\\" in name:
+            ros = name.startswith("package://")
             raise UsageError(
                 f"{document} refers to {name}; a model that travels in a recording names its files by paths relative "
-                "to itself"
+                f"to itself{': MuJoCo does not know where packages of ROS lie, so write such a path' if ros else ''}"
             )
         there = [Path(os.path.normpath(place)) for place in (*(base / name for base in bases), *places)]
         there = list(dict.fromkeys(place for place in there if place.is_file()))
@@ -174,6 +180,13 @@ def _parsed(path: Path) -> ET.Element:
         raise UsageError(f"{path} cannot be read: {error.strerror}") from None
     except ET.ParseError as error:
         raise UsageError(f"{path} is no XML: {error}") from None
+
+
+def _shown_only(root: ET.Element) -> set[ET.Element]:
+    """What MuJoCo does not open of a URDF file by default (discardvisual): what is only drawn."""
+    if root.tag != "robot":
+        return set()
+    return {element for kind in ("visual", "material") for drawn in root.iter(kind) for element in drawn.iter()}
 
 
 def _references(element: ET.Element) -> list[str]:

@@ -14,6 +14,9 @@ IMAGE_HASH = "_hash"
 NOT_GIVEN = "not_given"
 """The option that names arrays for which zeros stand, since a data set lacks them: "reward"."""
 
+DATA_SET = "dataset"
+"""Simulator of a recording that was made of a data set of demonstrations; its version is that of the format."""
+
 NO_SEED = "not given"
 """What RESET_SEEDS says of a first reset without a seed."""
 

@@ -104,6 +104,15 @@ def test_what_is_said_can_be_typed(tmp_path: Path) -> None:
                 PARSERS["gsb"].parse_args(arguments)
 
 
+def test_recordings_of_programs(tmp_path: Path) -> None:
+    """Name gsb-episodes where files have names that gsb-record does not give, and gsb-run where there are none."""
+    assert "gsb run -- python train.py" in "\n".join(next_steps(tmp_path))
+    (tmp_path / "mujoco-inclined-collision-n16-r0-20261126T060451Z.mcap").write_bytes(b"recorded by gsb-record")
+    assert "gsb episodes" not in "\n".join(next_steps(tmp_path))
+    (tmp_path / "train.mcap").write_bytes(b"recorded by a program")
+    assert "gsb episodes" in "\n".join(next_steps(tmp_path))
+
+
 def test_the_present_folder_itself(tmp_path: Path) -> None:
     """Name the folder by a point where the recordings lie in it, and mind no folder that cannot be read."""
     shutil.copyfile(FILE, tmp_path / "run.mcap")

@@ -123,6 +123,11 @@ def test_single_precision_is_not_the_state(tmp_path: Path) -> None:
     assert max(one["largest"]["distance"] for one in found["episodes"]) < 1e-3
     lost = json.loads(call("gsb-replay", "b.hdf5", *given, "--episodes", 2, code=4, cwd=tmp_path).stdout)
     assert (len(lost["episodes"]), lost["began_otherwise"]) == (2, 2)  # neither seed nor state is known
+    assert {one["name"].partition(".")[0] for one in lost["settings"]} <= {"options", "dt"}  # the format has a version
+    assert (
+        "the data set does not tell which versions and which machine made it: they may be the reason"
+        in lost["warnings"]
+    )
 
 
 def test_more_episodes_than_environments(tmp_path: Path) -> None:
@@ -177,6 +182,10 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         file.create_group("episode_0")
     with pytest.raises(DamagedRecording, match="has no rewards"):
         read(path)
+    with h5py.File(path, "w") as file:
+        file["data/demo_0/actions"] = np.ones((4, 1))
+    with pytest.raises(DamagedRecording, match="in a layout that is not read: it has data in place of D4RL's arrays"):
+        read(path)
     for spec in ("[1]", '{"id": "A-v0", "max_episode_steps": Infinity}'):
         (tmp_path / "metadata.json").write_text(json.dumps({"env_spec": spec}))
         assert made(tmp_path / "main_data.hdf5").spec_id == ""
@@ -220,3 +229,14 @@ def test_what_no_data_set_has(tmp_path: Path, name: str, value: Any, said: str) 
         path.write_bytes(path.read_bytes().replace(b"TREE", b"tree"))
     with pytest.raises(DamagedRecording, match=said):
         read(path)
+
+
+def test_what_to_give(tmp_path: Path) -> None:
+    """Name the formats where a file is of none, and of the options that name a task the one that data sets take."""
+    np.savez(tmp_path / "demos.npz", actions=np.ones(3))
+    other = call("gsb-replay", "demos.npz", code=3, cwd=tmp_path).stderr
+    assert "demos.npz is not an MCAP file; gsb-replay takes a recording (.mcap) of gpusimbench.wrap, D4RL file" in other
+    with h5py.File(tmp_path / "demos.hdf5", "w") as file:
+        file["rewards"] = np.ones(4)
+    unnamed = call("gsb-replay", "demos.hdf5", code=2, cwd=tmp_path).stderr
+    assert unnamed.strip().endswith("names no environment of Gymnasium's registry: give --env")

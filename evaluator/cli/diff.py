@@ -96,7 +96,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 def _check(arguments: argparse.Namespace) -> None:
     files, envs = len(arguments.files), len(arguments.env)
     if files > 2:
-        raise UsageError(f"gsb-diff compares two recordings, or one with itself; {files} recordings were given")
+        raise UsageError(
+            f"gsb-diff compares two recordings, or one with itself; {files} recordings were given. gsb-eval says "
+            "whether runs repeat, gsb-compare BASE HEAD compares two folders"
+        )
     if envs > 2 or (files == 1 and envs == 1):
         raise UsageError(
             f"{envs} environments were given: with one recording give --env twice, with two recordings once or twice"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, verified, write_json
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
+from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.folder_lock import held
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.parser import Parser
@@ -126,7 +127,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     asked, prices = probed(recordings), _prices(recordings)
     findings = [finding for one in asked for finding in one.findings]
     if all(finding.answer is Answer.NOT_ASKED for finding in findings):
-        raise NothingComparable("; ".join(problems) or "these recordings are no arms of a probe: nothing can be asked")
+        raise NothingComparable("; ".join(problems) or _nothing_asked(recordings))
     if arguments.json:
         write_json(arguments.json, dump_probe(asked, [family_record(family) for family in prices]))
     if arguments.json != "-":
@@ -179,6 +180,18 @@ def _verified(files: list[Place]) -> list[Recording]:
     if lost := [recording for recording in found if recording.status == "incomplete"]:
         raise DataLost(f"{lost[0].path} is incomplete: {lost[0].reason}")
     return found
+
+
+def _nothing_asked(recordings: list[Recording]) -> str:
+    if any(field.group == ENV for recording in recordings for field in recording.fields):
+        return (
+            "recordings of tasks answer only whether runs repeat, and no two of these are runs of one configuration; "
+            "gsb-diff A B compares the environments that two of them have in common, gsb-episodes their success"
+        )
+    failed = [recording for recording in recordings if recording.status not in ("complete", "incomplete")]
+    if recordings and len(failed) == len(recordings):
+        return f"no run ended well: {failed[0].path} is {failed[0].status}: {failed[0].reason}"
+    return "these recordings are no arms of a probe: nothing can be asked"
 
 
 def _prices(recordings: list[Recording]) -> tuple[Family, ...]:

@@ -263,7 +263,10 @@ def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[
     order, pair = draft.order, draft.pair
     lines = []
     if not pair.same_machine:
-        lines.append("base and head were recorded on different machines: speed and memory are not compared")
+        lines.append(
+            "base and head were recorded on different machines: speed and memory are not compared; gsb-eval BASE HEAD "
+            "shows both machines side by side"
+        )
     clocked = any(f.axis is Axis.THROUGHPUT and f.p_value is not None for f in findings)
     if clocked and not order.known:
         lines.append(

@@ -13,12 +13,12 @@ from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
-from gpusimbench.schemas.text import cut, first
+from gpusimbench.schemas.text import cut, few, first
 
 ACROSS = ("simulator", "determinism", "n_env", "warmup", "timed_steps")
 """What --across takes besides names of options."""
 
-_SHOWN, _LENGTH = 12, 48
+_SHOWN, _LENGTH, _NEAR = 12, 48, 4
 
 Groups = Sequence[Group[Run]]
 
@@ -131,10 +131,30 @@ def _why(group: Group[Run], others: Groups, across: Collection[str]) -> str:
     wanted = without_seeds(anywhere(group, across), group)
     alike = [g for g in others if without_seeds(anywhere(g, across), g) == wanted]
     if not alike:
-        return "no group of the other side was asked for the same"
+        said = "no group of the other side was asked for the same"
+        nearest = min((_apart(wanted, without_seeds(anywhere(g, across), g)) for g in others), key=len, default={})
+        if not nearest:
+            return said
+        keys = {field.name for field in fields(GroupKey)}
+        across_these = [f"--across {name}" for name in nearest if name in ACROSS or name not in keys]
+        how = f": {' '.join(across_these)} compares them" if len(across_these) == len(nearest) else ""
+        return f"{said}; the nearest differs in {few(list(nearest.values()), _NEAR)}{how}"
     if not any(_one_scene(group, g) for g in alike):
         return "the description of the scene differs on the other side"
     return "several groups were asked for the same, in different versions or conditions: compare them one at a time"
+
+
+def _apart(one: GroupKey, other: GroupKey) -> dict[str, str]:
+    """In what two groups were asked for something else: by name, "name: value -> value"."""
+    found: dict[str, str] = {}
+    for field in fields(GroupKey):
+        here, there = getattr(one, field.name), getattr(other, field.name)
+        if field.name == "options":
+            of_one, of_other = json.loads(here or "{}"), json.loads(there or "{}")
+            found |= {name: _arrow(name, *values) for name, values in _unequal(of_one, of_other).items()}
+        elif here != there:
+            found[field.name] = _arrow(field.name, here, there)
+    return found
 
 
 def _differences(base: Group[Run], head: Group[Run]) -> tuple[str, ...]:
@@ -161,8 +181,12 @@ def _differences(base: Group[Run], head: Group[Run]) -> tuple[str, ...]:
 
 
 def _entries(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
+    return [_arrow(name, *values) for name, values in _unequal(one, other).items()]
+
+
+def _unequal(one: dict[str, Any], other: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
     names = sorted({*one, *other})
-    return [_arrow(n, one.get(n, "unset"), other.get(n, "unset")) for n in names if one.get(n) != other.get(n)]
+    return {n: (one.get(n, "unset"), other.get(n, "unset")) for n in names if one.get(n) != other.get(n)}
 
 
 def _commits(group: Group[Run]) -> str:

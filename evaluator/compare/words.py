@@ -60,8 +60,10 @@ def sentence(result: Result) -> str:
         changed = settings.expect_same or all(f.change is Change.CHANGED for f in failing)
         said = f"FAILED: head {'differs from' if changed else 'is worse than'} base {found}"
         return f"{said}; not decided: {undecided}" if undecided else said
+    if not result.compared:
+        return "NOTHING COMPARED: base and head have no configuration in common"
     if not result.comparable:
-        return "NOTHING COMPARED: in some configuration, base and head share no quantity of an axis that has a gate"
+        return "NOTHING COMPARED: in some configuration, base and head share no quantity that the verdict depends on"
     asked = "differs from base" if settings.expect_same else "is worse than base"
     if result.open:
         count = plural(len(result.open), "finding")

@@ -5,6 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from gpusimbench.schemas.fields import ENV
+
+_ACTION = f"{ENV}/action"
+
+
+def is_action(field: str) -> bool:
+    """Whether a state field, "group/field", is what an environment was given; the others are what it returned."""
+    return field == _ACTION or field.startswith(f"{_ACTION}_")
+
 
 class Kind(Enum):
     """Of what a part is, in the order in which those of one step come about."""

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gpusimbench.evaluator.diff.parts import Kind, Moment, Part, ProgramDifference
+from gpusimbench.evaluator.diff.parts import Kind, Moment, Part, ProgramDifference, is_action
 from gpusimbench.evaluator.diff.result import Divergence, FieldDifference
 from gpusimbench.evaluator.read.program import Updates
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.schemas.fields import ENV
 
-_ACTION = f"{ENV}/action"
 _RESET, _STEP = Moment(1, 0), Moment(2, 0)
 _KINDS = list(Kind)
 
@@ -68,8 +66,9 @@ def _of_states(
     if first is not None and all(field.first_step != first.step_a for field in fields):
         yield Part(Kind.SIMULATOR, "states", _RESET, count_a, count_b, Moment(first.step_a + 1, 0))
     for field in fields:
-        action = field.field == _ACTION or field.field.startswith(f"{_ACTION}_")
-        kind, begin = (Kind.ACTION, _STEP) if action else (Kind.SIMULATOR, _RESET)  # no action precedes the reset
+        kind, begin = (
+            (Kind.ACTION, _STEP) if is_action(field.field) else (Kind.SIMULATOR, _RESET)
+        )  # no action precedes the reset
         at = None if field.first_step is None else Moment(field.first_step + 1, 0)
         yield Part(kind, field.field, begin, count_a, count_b, at)
 

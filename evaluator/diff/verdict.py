@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gpusimbench.evaluator.diff import program_words, words
+from gpusimbench.evaluator.diff.parts import is_action
 from gpusimbench.evaluator.diff.result import Difference, Divergence, Number, Verdict
 from gpusimbench.evaluator.diff.words import WITHOUT_UNIT
 from gpusimbench.evaluator.render.document import Text, Tone
@@ -36,7 +37,7 @@ def verdict_of(found: Difference, who: str = "") -> Text:
         return Text(f"{who} {equal}; body by body, they {since}.", Tone.BAD)
     if found.same_rotations:
         return Text(f"{who} have the same rotations, some as quaternions of the other sign; they {since}.", Tone.BAD)
-    return Text(f"{who} {since}{_where(found, found.first)}.", Tone.BAD)
+    return Text(f"{who} {since}{_where(found, found.first)}.{_whose(found, found.first)}", Tone.BAD)
 
 
 def step_of(found: Difference, first: Divergence) -> str:
@@ -100,6 +101,19 @@ def _where(found: Difference, first: Divergence) -> str:
     if first.phase == "capture" and found.compared.state_steps is not None:
         return f"{env}; body and field are unknown, because no state of that step was recorded"
     return f"{env}; body and field are unknown, because only hashes were recorded"
+
+
+def _whose(found: Difference, first: Divergence) -> str:
+    """Of a task: whether what the program gave its environments differs first, or what they returned."""
+    every_step = first.step_a == first.step_b and first.located and first.phase == "capture"  # of both, up to there
+    state = first.state if every_step and not found.one_recording else None
+    if state is None or not any(is_action(field.field) for field in found.compared.fields):
+        return ""
+    if any(map(is_action, state.fields)):
+        return " The actions differ first: all that the environments returned before that step is the same."
+    if first.step_a == 0:
+        return " What the reset returned differs already: no action precedes it."
+    return " The environments differ first: the actions up to that step are the same."
 
 
 def _stays(found: Difference, first: Divergence) -> bool:

@@ -12,12 +12,14 @@ from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.schemas.text import few
 
 SCHEMA_VERSION = 1
 
 _QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "visible")
 _DIFFERENCES = ("", "difference", "95 %", "p", "p, Holm", "visible")
 _NOTABLE = 0.01
+_NUMBERS = 4
 _MOST_DISTINCT = 0.95
 _VISIBLE = "visible: the smallest difference that {} would show with a probability of 80 % at the 5 % level."
 
@@ -65,6 +67,11 @@ def warnings(of: Outcome) -> Iterator[str]:
         yield (
             f"{plural(of.per_env, 'episode')} per environment is what this recording happens to have, so that short "
             "episodes may be slightly too frequent: choose --per-env before you record"
+        )
+    if len(of.n_envs) > 1:
+        yield (
+            f"recordings of {few(list(map(str, of.n_envs)), _NUMBERS)} environments are taken together: --across n_env "
+            "asks whether results depend on that number"
         )
     if of.distinct_starts < _MOST_DISTINCT * of.episodes:
         yield (

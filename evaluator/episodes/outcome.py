@@ -80,6 +80,7 @@ class Outcome:
     files          recordings
     scene          task
     n_env          environments of all recordings
+    n_envs         environments of a recording: the different numbers, ascending
     per_env        episodes of each that count: its first ones
     chosen         where per_env comes from
     success        name of the flag; None where none was named
@@ -95,6 +96,7 @@ class Outcome:
     files: tuple[str, ...]
     scene: str
     n_env: int
+    n_envs: tuple[int, ...]
     per_env: int
     chosen: Choice
     success: str | None
@@ -120,6 +122,7 @@ def outcome(episodes: Episodes, chosen: Choice, success: str | None, at: At) -> 
         files=tuple(str(recording.path) for recording in side.recordings),
         scene=side.recordings[0].configuration.scene,
         n_env=episodes.n_env,
+        n_envs=tuple(sorted({recording.configuration.n_env for recording in side.recordings})),
         per_env=episodes.per_env,
         chosen=chosen,
         success=success,

@@ -60,7 +60,7 @@ class Found:
     """What holding pairs against each other gave.
 
     level         bit-identical; within 8 ULP at every recorded number; positions within 0.1 mm (angles within 0.1 mrad)
-                  at every recorded state; or different
+                  at every recorded state; or different, also where neither positions nor angles were recorded
     pairs         how many; `differing` of them differ anywhere
     steps         number of common steps, by state hashes where both have them
     first_step    first step of a at which anything differs, by state hashes where both have them; None: nowhere
@@ -70,7 +70,7 @@ class Found:
                   two sliding joints [m]
     at_step       step of a of that
     curve         (step of a, largest distance at it), of each recorded state
-    unit          "m" or "rad"
+    unit          "m" or "rad"; empty where no distance is measured
     files         of a and b
     """
 
@@ -121,7 +121,7 @@ def held(pairs: Pairs) -> Found | Missing:
     if curve:
         at_step, most = max(curve, key=lambda point: point[1])
     return Found(
-        _level(first_step, first, most_ulp, most),
+        _level(first_step, first, most_ulp, most if measured else None),
         len(pairs.envs),
         int(apart.sum()),
         max(steps, len(states.rows_a)),
@@ -145,17 +145,18 @@ def _measured(fields: Sequence[StateField]) -> tuple[str, dict[str, list[int]]]:
         of_unit = {f.name: [i for i, u in enumerate(f.units) if u == unit] for f in fields if f.field == "qpos"}
         if any(of_unit.values()):
             return unit, of_unit
-    return "rad", {}
+    return "", {}
 
 
-def _level(first_step: int | None, first: First | None, ulp: int, distance: float) -> Level:
+def _level(first_step: int | None, first: First | None, ulp: int, distance: float | None) -> Level:
+    # distance: None where none is measured, so that only ULPs tell how equal the numbers are
     if first_step is None:
         return Level.BIT_IDENTICAL
-    if first is None or not np.isfinite(distance):
+    if first is None or (distance is not None and not distance <= TOLERANCE_M):
         return Level.DIFFERENT  # at a step whose states were not recorded, nobody knows by how much
-    if distance > TOLERANCE_M:
-        return Level.DIFFERENT
-    return Level.WITHIN_ULP if ulp <= MAX_ULP else Level.WITHIN_TOLERANCE
+    if ulp <= MAX_ULP:
+        return Level.WITHIN_ULP
+    return Level.DIFFERENT if distance is None else Level.WITHIN_TOLERANCE
 
 
 def _incomparable(pairs: Pairs) -> str:

@@ -105,13 +105,13 @@ def _runs(arms: Arms) -> Asked | Missing:
 
 def _envs(arms: Arms) -> Asked | Missing:
     """Environment 0 with all others of a run in which all begin alike."""
-    if arms.key.vary:
-        return Missing(f"environments differ by --vary {arms.key.vary}")
     if not arms.plain:
         return Missing("needs a run whose environments begin alike")
     if arms.n_env < 2:
         return Missing("needs two environments")
     run = arms.plain[0]
+    if why := run.apart_by_design:
+        return Missing(why)
     found = held(Pairs(run, run, tuple((0, env) for env in range(1, arms.n_env))))
     return told(found, f"environment 0 and the {arms.n_env - 1} others of a run")
 

@@ -17,6 +17,7 @@ from gpusimbench.schemas.text import few
 
 SCHEMA_VERSION = 1
 
+_HOW = " The program has to record: gpusimbench.wrap(envs, 'a.mcap'), or RecordingWriter, with a relative path."
 _NAMES = 4
 _MIB = 1 << 20
 
@@ -52,7 +53,8 @@ def _shown(found: Comparison) -> Compared | None:
 def _verdicts(found: Comparison) -> list[Block]:
     runs = plural(len(found.runs), "run")
     if found.verdict is None:
-        return [Text("No verdict: the runs have no recordings to compare.", Tone.WARNING)]
+        how = "" if found.failed or any(run.recordings or run.partial for run in found.runs) else _HOW
+        return [Text(f"No verdict: the runs have no recordings to compare.{how}", Tone.WARNING)]
     if found.verdict is Verdict.IDENTICAL:
         names = few(list(dict.fromkeys(one.name for one in found.compared)), _NAMES)
         if not found.whole:

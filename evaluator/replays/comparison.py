@@ -18,8 +18,12 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.replays.verdict import Judged, Verdict, judge
 from gpusimbench.evaluator.statistics.rates import wilson
 from gpusimbench.schemas.errors import NothingComparable
+from gpusimbench.schemas.vector import DATA_SET
 
 _CAUSES = ("options.", "version", "dt", "software.", "host.cpu", "gpu")
+_OF_FILES = ("options.", "dt")
+"""What a data set says of itself; software and machine of its recording are those that read the data set."""
+
 _NO_CAUSES = (
     "options.infos",
     "options.seeds",
@@ -53,6 +57,7 @@ class Compared:
     began_otherwise  episodes that were replayed, and whose first observations differ: there the environment, or its
                      seed, is another, and not its answers to actions
     settings   what may be the reason: versions, options and machine that the two files name differently
+    of_data_set  whether the original was made of a data set, which names neither versions nor machine
     """
 
     original: str
@@ -62,6 +67,7 @@ class Compared:
     shares: tuple[Share, ...]
     began_otherwise: int
     settings: tuple[Setting, ...]
+    of_data_set: bool = False
 
     def count(self, verdict: Verdict) -> int:
         """Episodes with that verdict."""
@@ -94,6 +100,8 @@ def compare(original: Recording, replay: Recording, *, success: str | None, at: 
         raise NothingComparable(f"{original.path} has no episode with a step")
     counts = Counter(one.verdict for one in judged)
     n = len(judged)
+    of_data_set = original.configuration.simulator == DATA_SET
+    causes = _OF_FILES if of_data_set else _CAUSES
     return Compared(
         original=str(original.path),
         replay=str(replay.path),
@@ -106,8 +114,9 @@ def compare(original: Recording, replay: Recording, *, success: str | None, at: 
         settings=tuple(
             one
             for one in differing_settings(original, replay)
-            if one.name.startswith(_CAUSES) and not one.name.startswith(_NO_CAUSES)
+            if one.name.startswith(causes) and not one.name.startswith(_NO_CAUSES)
         ),
+        of_data_set=of_data_set,
     )
 
 

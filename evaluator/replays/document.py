@@ -121,6 +121,8 @@ def warnings(found: Compared) -> Iterator[str]:
             f"{plural(found.began_otherwise, 'episode')} began with another observation: the environment, its seed or "
             "its random numbers differ before any action, so that the actions cannot lead to the same states"
         )
+    if found.of_data_set and found.count(Verdict.IDENTICAL) < len(found.episodes):
+        yield "the data set does not tell which versions and which machine made it: they may be the reason"
     if names := dict.fromkeys(name for one in found.episodes for name in one.rounded):
         yield f"compared in float32, since one of the files holds no more digits: {', '.join(names)}"
     if any(one.returns[0] is None for one in found.episodes):

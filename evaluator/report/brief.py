@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import name_of
@@ -16,6 +16,7 @@ from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sentence
 from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.sections.episodes import counts_of, mean_of
+from gpusimbench.evaluator.report.sections.scaling import sentence as sweep_sentence
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
@@ -28,10 +29,14 @@ from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
 from gpusimbench.evaluator.runs.labels import labels, options_given
+from gpusimbench.schemas.text import first
 
-_NOTES = 2
+_NOTES, _EPISODES = 2, 8
 _PLACE = ("scene", "device")
 """What names a table where there are several."""
+
+_TASKS = "Success rate and return with intervals: gsb-episodes{}. Where two recordings of a task part: gsb-diff A B."
+_ACROSS = ", by number of environments with --across n_env"
 
 MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."
 
@@ -41,6 +46,8 @@ def brief(evaluation: Evaluation) -> Document:
     results = evaluation.results
     body: list[Block] = [_one(results[0])] if len(results) == 1 else [*_several(evaluation)]
     body += [Text(laws_sentence(result.laws)) for result in usual(results) if result.laws]
+    if numbers := {result.group.key.n_env for result in results if counts_of(result)}:
+        body.append(Text(_TASKS.format(_ACROSS if len(numbers) > 1 else ""), Tone.QUIET))
     return Document(
         _verdict(evaluation),
         (*body, *_troubles(evaluation), Text(MORE, Tone.QUIET)),
@@ -57,7 +64,14 @@ def _verdict(evaluation: Evaluation) -> str:
     invalid = sum(any(run.status == "invalid" for run in r.group.recordings) for r in results)
     if invalid:
         said.append(f"{plural(invalid, 'group')} with INVALID runs")
-    return f"{plural(len(results), 'group')}: " + "; ".join(said or ["no group has several runs to compare"])
+    return f"{plural(len(results), 'group')}: " + "; ".join(said or [_why_none(results)])
+
+
+def _why_none(results: Sequence[GroupResult]) -> str:
+    """Why it is not known of any group whether it repeats itself."""
+    several = [r for r in results if len(r.group.complete) > 1]
+    why = dict.fromkeys(identical(r.metrics[DISTINCT_RUNS.name]).why_not for r in several)
+    return f"runs were not compared: {'; '.join(why)}" if several else "no group has several runs to compare"
 
 
 def _says(result: GroupResult) -> str:
@@ -129,6 +143,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for place, rows in tables.items():
         shown = table("groups", place, titles, rows)
         yield shown.without_empty_columns() if several else shown
+    told = [f"{result.label}: episodes: {said}" for result in results if (said := _episodes(result))]
+    yield from map(Text, first(told, _EPISODES, " groups with episodes"))
     for result in results:
         speed = result.metrics[FPS.name]
         if (mean := known(speed.value)) is not None and (speeds := speed.of(Throughput).speeds):
@@ -137,6 +153,11 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:
         yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings)}")
+    for sweep in evaluation.sweeps:
+        if sweep.long and any(
+            "timed" in run.configuration.phases for point in sweep.points for run in point.recordings
+        ):
+            yield Text(sweep_sentence(sweep))
     for family in evaluation.convergences:
         yield Text(sentence(family))
     for one in fastest(results):

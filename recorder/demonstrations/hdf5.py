@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.demonstrations.data_set import DataSet, Made
 from gpusimbench.recorder.demonstrations.demonstration import Arrays, Demonstration
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, UsageError
+from gpusimbench.schemas.text import few
 
 MINARI_FILE, METADATA = "main_data.hdf5", "metadata.json"
 
@@ -24,6 +25,7 @@ _EPISODE = re.compile(r"episode_(\d{1,9})")
 _MOST_BYTES = 16 << 30  # of an array, which a small file can claim to have
 _MOST_METADATA = 1 << 20
 _DEEPEST = 8
+_NAMED = 3
 
 
 def opened(path: Path) -> DataSet | None:
@@ -125,6 +127,13 @@ def _has(group: Any, name: str) -> bool:
     return name in group
 
 
+def _is_group(file: Any, name: str) -> bool:
+    # no link is followed
+    import h5py
+
+    return isinstance(file.get(name, getlink=True), h5py.HardLink) and isinstance(file[name], h5py.Group)
+
+
 def _array(path: Path, group: Any, name: str) -> NDArray[Any]:
     item = _item(path, group, name)
     if hasattr(item, "keys"):
@@ -181,6 +190,12 @@ def _seed(path: Path, group: Any) -> int | None:
 
 def _of_flat(path: Path, file: Any) -> Iterator[Demonstration]:
     """Of a D4RL file, whose arrays [step, ...] hold all episodes one after another."""
+    if not _has(file, "rewards") and (groups := [name for name in file if _is_group(file, name)]):
+        raise DamagedRecording(
+            f"{path} is in a layout that is not read: it has {few(groups, _NAMED)} in place of D4RL's arrays and "
+            "Minari's episodes. robomimic, robosuite, LIBERO and ManiSkill write such files. Write the arrays of D4RL "
+            "(rewards, observations, actions, terminals, timeouts, infos/qpos, infos/qvel) from them"
+        )
     rewards = _array(path, file, "rewards").reshape(-1)
     n = len(rewards)
     if not n:

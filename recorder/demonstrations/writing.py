@@ -20,9 +20,8 @@ from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID
 from gpusimbench.schemas.errors import DamagedRecording, Unreachable
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
-from gpusimbench.schemas.vector import FINAL_GIVEN, NOT_GIVEN, PHYSICS, SEEDS
+from gpusimbench.schemas.vector import DATA_SET, FINAL_GIVEN, NOT_GIVEN, PHYSICS, SEEDS
 
-SIMULATOR = "dataset"
 _AT_ONCE = 16  # environments, over which episodes are dealt
 _ROWS = 50
 _BLOCK = 1 << 20  # bytes that are read at a time
@@ -81,7 +80,7 @@ def write(
         except OSError as error:  # which would look as if the results could not be written
             raise Unreachable(f"cannot read {one}: {error.strerror}") from None
     with RecordingWriter(
-        path, simulator=SIMULATOR, version=source.version, scene=spec_id, n_env=n_env, dt=dt,
+        path, simulator=DATA_SET, version=source.version, scene=spec_id, n_env=n_env, dt=dt,
         steps=steps, fields=fields, view=(), compression="zstd", attachments=attached,
         options={
             "autoreset_mode": Mode.DISABLED.value, SPEC_ID: spec_id, KEYWORDS: json.dumps(keywords, sort_keys=True),

@@ -53,7 +53,9 @@ def interpreter_for(entry: Entry, given: Path | None = None) -> Interpreter:
     if given is not None:
         chosen = at(given)
         if missing := chosen.missing(wanted):
-            raise UsageError(f"{given} cannot record '{entry.name}': it has no {', '.join(missing)}")
+            names = " ".join(name.replace("google.protobuf", "protobuf") for name in missing if name in RECORDING)
+            how = f"; {chosen.python} -m pip install {names}" if names else ""
+            raise UsageError(f"{given} cannot record '{entry.name}': it has no {', '.join(missing)}{how}")
         return chosen
     missing = entry.missing()
     if not missing:

@@ -120,7 +120,8 @@ def _seconds(clocks: NDArray[np.int64]) -> float:
 
 def _ask_finite(journal: Journal, state: States, steps: int) -> None:
     if not all(np.isfinite(array).all() for array in state):
-        journal.gate(f"a state is not finite after {steps} timed steps", "NOT_FINITE")
+        found = "--phases capture --keep failing tells which environment fails first, and keeps the steps before"
+        journal.gate(f"a state is not finite after {steps} timed steps: {found}", "NOT_FINITE")
 
 
 def _step(simulator: Simulator, steps: int, interval: int) -> NDArray[np.int64]:

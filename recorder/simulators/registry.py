@@ -6,6 +6,7 @@ object is a ``Simulator`` subclass.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import import_module, metadata
 from importlib.machinery import PathFinder
@@ -20,6 +21,7 @@ from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.suggestion import did_you_mean
 
 ENTRY_POINTS = "gsb.simulators"
+_TASKS = ("gym", "gymnasium")
 
 
 @dataclass(frozen=True)
@@ -229,11 +231,20 @@ def find_simulator(name: str) -> Entry:
     """The simulator of that name; UsageError names the known ones."""
     known = simulators()
     if name not in known:
-        hint = did_you_mean(name, [*known, REAL])
+        hint = _packaged(name, known.values()) or did_you_mean(name, [*known, REAL])
+        if name.lower() in _TASKS:
+            hint = "; its tasks are recorded as a program steps them, by gpusimbench.wrap"
         raise UsageError(
             f"there is no simulator '{name}'; known: {', '.join(known)}, {REAL} (see gsb-record --list){hint}"
         )
     return known[name]
+
+
+def _packaged(name: str, entries: Iterable[Entry]) -> str:
+    # the end of a message on the name of a package, such as "mujoco_warp", that is not the simulator's name here
+    package = name.lower().replace("-", "_")
+    of = [entry.name for entry in entries if package in {one.replace(".", "_") for one in entry.requires}]
+    return f"; did you mean '{of[0]}'?" if len(of) == 1 else ""
 
 
 def able(scene: Scene) -> tuple[str, ...]:

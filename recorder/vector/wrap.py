@@ -110,7 +110,10 @@ def step_of(envs: Any) -> float:
 def given_or(dt: float | None, told: float | None) -> float:
     """The time step that was given, or else the task's own [s]; UsageError where there is neither."""
     if dt is None and told is None:
-        raise UsageError("the environment does not say what simulated time a step takes: give dt [s]")
+        raise UsageError(
+            "the environment does not say what simulated time a step takes: give it in seconds, such as "
+            "wrap(..., dt=0.02), or dt=1 where steps have no time"
+        )
     try:
         return float(told if dt is None else dt)  # type: ignore[arg-type]
     except (TypeError, ValueError):

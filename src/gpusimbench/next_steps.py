@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ _MARK = b'<meta name="generator" content="gpusimbench'
 """In the head of every page of results that the evaluator writes."""
 
 _HEAD_BYTES = 16 << 10
+_RECORDER = re.compile(r"-n\d+-r\d+-\d{8}T\d{6}Z\.mcap$")
+"""Ends the names that gsb-record gives; a file of another name is likely to be of a user's program."""
+
 _SHOWN = 3  # folders
 _COLUMN = 44
 
@@ -27,6 +31,7 @@ class Found:
     """A folder with recordings or a page of results.
 
     recordings  how many
+    programs    how many of them are likely to be of programs of the user's
     unfinished  what a crash left of a recording, or is being made
     newest      when the newest of the recordings was written [s]; 0 without any
     page        of results; None where there is none
@@ -34,6 +39,7 @@ class Found:
 
     folder: Path
     recordings: int = 0
+    programs: int = 0
     unfinished: tuple[Path, ...] = ()
     newest: float = 0.0
     page: Path | None = None
@@ -66,12 +72,13 @@ def _folders(folder: Path) -> Iterator[Path]:
 
 
 def _look(folder: Path) -> Found | None:
-    recordings, unfinished, newest, page = 0, [], 0.0, None
+    recordings, programs, unfinished, newest, page = 0, 0, [], 0.0, None
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
                 if entry.name.endswith(".mcap"):
                     recordings += 1
+                    programs += not _RECORDER.search(entry.name)
                     newest = max(newest, entry.stat().st_mtime)
                 elif entry.name.endswith(f".mcap{PARTIAL}") and entry.stat().st_size:
                     unfinished.append(folder / entry.name)
@@ -81,7 +88,7 @@ def _look(folder: Path) -> Found | None:
         return None
     if not recordings and not unfinished and page is None:
         return None
-    return Found(folder, recordings, tuple(sorted(unfinished)), newest, page)
+    return Found(folder, recordings, programs, tuple(sorted(unfinished)), newest, page)
 
 
 def _is_ours(page: Path) -> bool:
@@ -96,6 +103,7 @@ def _without_recordings() -> list[str]:
         ("gsb record --list", "simulators, where each is installed, and scenes"),
         ("gsb record --sim mujoco", "16 environments, 10 runs, into runs/"),
         ("gsb eval runs", "then: speed, memory and determinism of these runs"),
+        ("gsb run -- python train.py", "or is a program of yours reproducible, that calls gpusimbench.wrap?"),
     ]
     return ["There are no recordings here. To make some:", *map(_step, steps)]
 
@@ -106,6 +114,8 @@ def _of_sets(sets: list[Found]) -> Iterator[tuple[str, str]]:
     newest = _word(sets[0].folder)
     yield f"gsb eval {newest}", "speed, memory, determinism and physics"
     yield f"gsb eval {newest} --html report", "the same as a page with figures"
+    if sets[0].programs:
+        yield f"gsb episodes {newest}", "success and return of a policy, of recordings of a task"
     yield f"gsb check {newest}", "whether the files are whole"
     yield f"gsb view {newest}", "environments in motion"
     if len(sets) > 1:

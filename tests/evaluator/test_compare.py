@@ -460,6 +460,9 @@ def test_another_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert compared(tmp_path / "base", tmp_path / "head", "--gate", "physics,bits", capsys=capsys)[0] == 0
     assert not document["compared"][0]["same_machine"]
     assert "different machines" in finding(document, "fps")["why_not"]
+    assert any(
+        "gsb-eval BASE HEAD shows both machines side by side" in one for one in document["compared"][0]["warnings"]
+    )
     assert finding(document, "states")["change"] == "same"
 
 
@@ -469,7 +472,12 @@ def test_what_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     code, document = compared(base, head, capsys=capsys)
     assert (code, document["verdict"], document["compared"]) == (5, "NOTHING COMPARED", [])
     assert {one["side"] for one in document["without_partner"]} == {"base", "head"}
-    assert "no group of the other side" in document["without_partner"][0]["reason"]
+    said = "no group of the other side was asked for the same; the nearest differs in"
+    assert document["without_partner"][0]["reason"] == f"{said} cone: unset -> pyramidal: --across cone compares them"
+    far = write_recording(base, None, n_env=9, dt=0.5, change=stamped(97))
+    of_far = compared(base, head, capsys=capsys)[1]["without_partner"][1]["reason"]
+    assert of_far == f"{said} n_env: 9 -> 1, dt: 0.5 -> 1.0, cone: unset -> pyramidal"
+    far.unlink()
     more = write_recording(base, None, n_env=9, change=stamped(98))
     code, document = compared(base, head, "--across", "cone", capsys=capsys)
     assert (code, document["verdict"].rpartition("; ")[2]) == (0, "1 configuration without a partner")

@@ -39,7 +39,7 @@ def result(*configurations: list[Finding], settings: Settings = GATED, **more: A
     )
 
 
-NOTHING = "NOTHING COMPARED: in some configuration, base and head share no quantity of an axis that has a gate"
+NOTHING = "NOTHING COMPARED: in some configuration, base and head share no quantity that the verdict depends on"
 
 FINE, WORSE, OPEN = (
     finding(Change.SAME),
@@ -105,7 +105,13 @@ CASES = [
         "NOT DECIDED: whether head is worse than base in throughput (1 finding in 2 configurations)",
         "NOT DECIDED: throughput (1 finding in 2 configurations)",
     ),
-    ("nothing", result(), ExitCode.NOTHING_COMPARABLE, NOTHING, "NOTHING COMPARED"),
+    (
+        "nothing",
+        result(),
+        ExitCode.NOTHING_COMPARABLE,
+        "NOTHING COMPARED: base and head have no configuration in common",
+        "NOTHING COMPARED",
+    ),
     ("how runs ended alone", result([FINE], [runs_ended()]), ExitCode.NOTHING_COMPARABLE, NOTHING, "NOTHING COMPARED"),
     (
         "no gate",

@@ -73,7 +73,7 @@ def test_commands_of_two_and_of_one(folder: Path) -> None:
     assert call("gsb-diff", folder).returncode == 0
     assert call("gsb-diff", folder / "below", folder / AMD[0].name).returncode in (0, 4)
     too_many = call("gsb-diff", folder, folder / "below", code=2)
-    assert "3 recordings were given" in too_many.stderr
+    assert "3 recordings were given. gsb-eval says whether runs repeat" in too_many.stderr
     assert call("gsb-eval", folder, "--reference", folder / "below", "--json", "-").returncode == 0
     several = call("gsb-eval", folder, "--reference", folder, code=2)
     assert "stands for 2" in several.stderr

@@ -288,3 +288,46 @@ def test_sets_of_runs_are_compared_by_their_arrays(tmp_path: Path) -> None:
     assert finding["why_not"].startswith("gradient differs from update 2 on, but runs of one side may differ")
     finding = compared(tmp_path, [base[0], head[1]], same)
     assert finding["why_not"] == "runs of base differ from each other: gradient differs from update 2 on"
+
+
+@pytest.mark.parametrize(
+    ("what", "step", "said"),
+    [
+        ("action", 3, "The actions differ first: all that the environments returned before that step is the same."),
+        ("observation", 3, "The environments differ first: the actions up to that step are the same."),
+        ("observation", 0, "What the reset returned differs already: no action precedes it."),
+    ],
+)  # fmt: skip
+def test_without_hashes_of_the_program(tmp_path: Path, what: str, step: int, said: str) -> None:
+    """Say whether actions or environments differ first, also of a program that hashes none of its arrays."""
+
+    def run(name: str, plant: Plant) -> Recording:
+        fields = (array_field("action", "float64"), array_field("observation", "float64"))
+        seen = plant("observation", 0, np.array([0.5, 0.7]))
+        path = tmp_path / f"{name}.mcap"
+        with RecordingWriter(
+            path, simulator="mine", version="1", scene="toy", n_env=2, dt=0.5, steps=5, fields=fields
+        ) as log:
+            log.append(np.zeros(2), seen)
+            for number in range(1, 6):
+                action = plant("action", number, seen * 0.1)
+                seen = plant("observation", number, np.sin(seen + action))
+                log.append(action, seen)
+        return open_recording(path)
+
+    def coarse() -> Recording:
+        with RecordingWriter(
+            tmp_path / "c.mcap", simulator="mine", version="1", scene="toy", n_env=2, dt=1.0, steps=1,
+            fields=(array_field("action", "float64"), array_field("observation", "float64")),
+        ) as log:  # fmt: skip
+            for _ in range(2):
+                log.append(np.zeros(2), np.array([0.5, 0.7]))
+        return open_recording(tmp_path / "c.mcap")
+
+    found = compare(run("a", nothing), run("b", planted(what, step)))
+    assert found.program is None
+    assert verdict_of(found).text.endswith(said)
+    (before,) = (field.first_step for field in found.compared.fields if field.field == f"env/{what}")
+    assert before == step
+    if what == "action":  # of the steps between, nothing is known of the coarser one
+        assert "differ first" not in verdict_of(compare(open_recording(tmp_path / "a.mcap"), coarse())).text

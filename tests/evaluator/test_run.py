@@ -158,6 +158,12 @@ def test_not_all_is_compared(tmp_path: Path, more: str, verdict: str | None, beg
     assert said.startswith(beginning)
 
 
+def test_a_program_that_records_nothing(tmp_path: Path) -> None:
+    """Say what a program has to call, so that there is something to compare."""
+    said, _ = gsb_run(tmp_path, program(tmp_path, "print(1)"), code=ExitCode.NOTHING_COMPARABLE)
+    assert "The program has to record: gpusimbench.wrap(envs, 'a.mcap'), or RecordingWriter" in " ".join(said.split())
+
+
 @pytest.mark.slow
 def test_a_program_is_stopped_with_all_that_it_started(tmp_path: Path) -> None:
     """Interrupt a run after its time; the recording says so, and a process that it left is gone."""

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.metrics.radar import Axis
+from gpusimbench.evaluator.render.terminal import print_document
+from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -69,6 +71,19 @@ def test_n_max_and_its_reason(tmp_path: Path) -> None:
     assert sweep.ends == "failed at 256: device memory: no memory for the contacts"
     assert [p.complete for p in sweep.points] == [2, 2, 2, 2, 0]
     assert sweep.points[-1].causes == ("failed (device memory)",)
+
+
+def test_the_first_page_says_how_far_sweeps_go(tmp_path: Path) -> None:
+    """Print the largest number and an environment's memory; of two runs without states, why they are not compared."""
+    write_sweep(tmp_path, SIZES, fails=256)
+    stream = io.StringIO()
+    print_document(brief(evaluated(tmp_path)), stream)
+    shown = " ".join(stream.getvalue().split())
+    assert (
+        "most environments (N_env^max) 64: failed at 256: device memory: no memory for the contacts; memory =" in shown
+    )
+    assert "per env, from 4 points" in shown
+    assert "runs were not compared: no states were captured" in shown
 
 
 def test_a_sweep_that_did_not_end(tmp_path: Path) -> None:

@@ -230,6 +230,15 @@ def test_a_python_without_the_engine_is_refused(borrowing: Path) -> None:
         interpreter_for(entry, borrowing)
 
 
+def test_a_python_without_what_records_says_how_to_get_it(tmp_path: Path) -> None:
+    """Give the command that installs, by the names of packages, into the Python that the user named."""
+    venv.create(tmp_path, with_pip=False, symlinks=True)
+    with pytest.raises(UsageError) as refused:
+        interpreter_for(Entry("here", "", "x:Y", requires=("json",)), tmp_path)
+    command = f"{tmp_path / 'bin' / 'python'} -m pip install protobuf lz4 mcap numpy psutil zstandard"
+    assert str(refused.value).endswith(f"; {command}")
+
+
 @pytest.mark.parametrize("path", ["/nowhere/python", "/dev/null", "/bin/false", "/bin/true", "no-such-python"])
 def test_what_is_no_python_is_refused(path: str) -> None:
     """Refuse a --python that does not run, in one sentence."""

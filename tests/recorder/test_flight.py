@@ -285,3 +285,24 @@ def test_no_bodies(tmp_path: Path) -> None:
     arguments = ("--sim", "mujoco", "--scene", "franka", "--keep", "failing,within:1", "--out", tmp_path)
     done = call("gsb-record", *arguments, code=2)
     assert "has no free bodies" in done.stderr
+
+
+_BLOWS_UP = """<mujoco><option timestep="0.02"/><worldbody><body pos="0 0 1"><joint name="hip" axis="0 1 0"/>
+<geom type="capsule" size=".02 .3" mass=".1"/><body pos="0 0 .6"><joint name="knee" axis="0 1 0"/><geom type="capsule"
+size=".02 .3"/></body></body></worldbody><actuator><position joint="hip" kp="5000"/><position joint="knee" kp="90000"/>
+</actuator></mujoco>"""
+
+
+def test_a_robot_that_explodes(tmp_path: Path) -> None:
+    """Say what finds the environment, where the timed phase already is not finite, so that no state is captured."""
+    (tmp_path / "robot.xml").write_text(_BLOWS_UP)
+    run = ("gsb-record", "--sim", "mujoco", "--model", tmp_path / "robot.xml", "--n-env", 2, "--runs", 1, "--steps", 60)
+    short = ("--warmup", 5, "--timed-steps", 60)
+    (advice,) = (
+        line.partition("60 timed steps: ")[2].partition(" tells")[0].split()
+        for line in call(*run, *short, "--out", tmp_path / "timed", code=1).stderr.splitlines()
+        if "not finite after" in line
+    )
+    (path,) = call(*run, *advice, "--out", tmp_path / "kept", code=1).stdout.split()
+    first, *_ = _failing(open_recording(path)).failures
+    assert first.kind == "not finite" and first.item in ("hip", "knee")

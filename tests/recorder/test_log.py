@@ -239,6 +239,17 @@ def test_an_end_that_is_none(tmp_path: Path) -> None:
     assert len(found["broken"].state("cubes", "position")) == 4
 
 
+def test_the_first_state_that_is_not_finite(tmp_path: Path) -> None:
+    """Name the first, and none of those that follow from it, however many blocks of states they are in."""
+    position, velocity = states(301)
+    position[70:, 2] = np.nan
+    with writer(tmp_path / "nan.mcap", steps=300) as log:
+        for step in range(301):
+            log.append(position[step], velocity[step])
+    reason = open_recording(tmp_path / "nan.mcap").reason
+    assert reason == "a state is not finite: step 70, env 2, cubes/position of red"
+
+
 def test_steps_that_are_not_announced(tmp_path: Path) -> None:
     """Record as many steps as were made, in the same file as if they had been announced; none made is a failure."""
     position, velocity = states()

@@ -93,7 +93,12 @@ def test_files_above_the_model(tmp_path: Path) -> None:
         ('<!DOCTYPE a [<!ENTITY b SYSTEM "/etc/passwd">]><mujoco>&b;</mujoco>', "has a DOCTYPE"),
         ('<mujoco><asset><mesh file="gone.obj"/></asset></mujoco>', "no such file"),
         ('<mujoco><asset><mesh file="/etc/hostname"/></asset></mujoco>', "by paths relative to itself"),
-        ('<robot><mesh filename="package://robot/foot.obj"/></robot>', "by paths relative to itself"),
+        ('<robot><mesh filename="package://robot/foot.obj"/></robot>', "by paths relative to itself: MuJoCo does not"),
+        (
+            '<robot><mujoco><compiler discardvisual="false"/></mujoco><link><visual><geometry>'
+            '<mesh filename="foot.dae"/></geometry></visual></link></robot>',
+            "no such file",
+        ),
     ],
 )
 def test_no_closure(text: str, said: str, tmp_path: Path) -> None:
@@ -101,6 +106,21 @@ def test_no_closure(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text(text)
     with pytest.raises(UsageError, match=said):
         pack(tmp_path / "robot.xml")
+
+
+def test_what_is_only_drawn_of_urdf(tmp_path: Path) -> None:
+    """Record a robot of ROS whose visual meshes lie elsewhere: MuJoCo opens none."""
+    (tmp_path / "robot.urdf").write_text(
+        '<robot name="arm"><material name="m"><texture filename="package://arm/skin.png"/></material><link name="base">'
+        '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '<visual><geometry><mesh filename="package://arm/base.dae"/></geometry></visual>'
+        '<collision><geometry><mesh filename="foot.obj"/></geometry></collision></link></robot>'
+    )
+    (tmp_path / "foot.obj").write_bytes((WALKER.parent / "meshes" / "foot.obj").read_bytes())
+    data = pack(tmp_path / "robot.urdf")
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        assert archive.namelist() == ["robot.urdf", "foot.obj"]
+    assert compiled(data)[1].nmesh == 1
 
 
 def _archive(**files: str) -> bytes:

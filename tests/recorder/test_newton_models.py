@@ -363,16 +363,24 @@ def test_names(tmp_path: Path) -> None:
 
 
 def test_urdf(tmp_path: Path) -> None:
-    """Say that Newton is given MJCF alone."""
-    path = tmp_path / "robot.urdf"
+    """Read a URDF file by way of MuJoCo's MJCF of it, its mesh in another folder, and get MuJoCo's robot."""
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "foot.obj").write_bytes((WALKER.parent / "meshes" / "foot.obj").read_bytes())
+    (tmp_path / "urdf").mkdir()
+    path = tmp_path / "urdf" / "robot.urdf"
     path.write_text(
-        '<robot name="r"><link name="a"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
-        'iyz="0"/></inertial></link><link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" '
-        'ixz="0" iyz="0"/></inertial></link><joint name="j" type="continuous"><parent link="a"/><child link="b"/>'
-        '<axis xyz="0 0 1"/></joint></robot>'
+        '<robot name="r"><mujoco><compiler meshdir="../meshes"/></mujoco><link name="a"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="b"><inertial><mass '
+        'value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry><mesh '
+        'filename="foot.obj"/></geometry></collision></link><joint name="j" type="continuous"><parent link="a"/>'
+        '<child link="b"/><origin xyz="0 0 .3"/><axis xyz="0 0 1"/></joint></robot>'
     )
-    with pytest.raises(Refused, match="is URDF"):
-        _imported(_scene(path))
+    world, compiled = _imported(_scene(path))
+    masses = [world.builder.body_mass[body] for body in world.imported.bodies[1:]]
+    np.testing.assert_allclose(masses, compiled.model.body_mass[1:], rtol=1e-6)
+    assert masses == [2.0]
+    assert compiled.model.nmesh == len(world.builder.shape_type) == 1
+    assert {f.name: f.items for f in world.layout.fields()}["joints/qpos"] == ("j",)
 
 
 @pytest.mark.parametrize(

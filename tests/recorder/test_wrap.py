@@ -309,7 +309,7 @@ def test_what_cannot_be_wrapped(tmp_path: Path) -> None:
         wrap(walks(1, 3, "NextStep"), tmp_path / "a.mcap", steps=0)
     timeless = walks(1, 3, "NextStep")
     timeless.metadata = {}
-    with pytest.raises(UsageError, match=r"give dt \[s\]"):
+    with pytest.raises(UsageError, match="give it in seconds, such as wrap"):
         wrap(timeless, tmp_path / "a.mcap", steps=1)
     modeless = walks(1, 3, "NextStep")
     modeless.metadata = {"render_fps": 20}

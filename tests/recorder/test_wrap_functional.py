@@ -325,7 +325,7 @@ def test_what_cannot_be_recorded(tmp_path: Path) -> None:
         recorded.step(recorded.reset(keys()), drawn(1)[0])
     with pytest.raises(UsageError, match="tuple has no obs, and is no state"):
         wrap(falling(), tmp_path / "a.mcap", steps=5, dt=0.1).step((), drawn(1)[0])
-    with pytest.raises(UsageError, match=r"give dt \[s\]"):
+    with pytest.raises(UsageError, match="give it in seconds, such as wrap"):
         wrap(falling(), tmp_path / "a.mcap", steps=5)
     with pytest.raises(UsageError, match="physics is recorded of states with"):
         recorded = wrap(falling(), tmp_path / "a.mcap", steps=5, dt=0.1, physics=True)

@@ -49,6 +49,17 @@ def section(source: Source) -> Section | None:
     return Section("scaling", "Scaling over the number of environments", tuple(blocks), said, folded=True)
 
 
+def sentence(sweep: Sweep) -> str:
+    """How far a sweep goes, why it ends, and what an environment costs in memory."""
+    largest = "no run is complete"
+    if sweep.n_max is not None:
+        largest = f"most environments (N_env^max) {sweep.n_max:,}: {words.shortened(sweep.ends)}"
+    model, why_not = sweep.models.get(sweep.memory), sweep.no_model.get(sweep.memory)
+    memory = [f"memory = {words.model(model)} ({SOURCES[sweep.memory]})"] if model else []
+    memory += [f"no memory model: {why_not}"] if why_not else []
+    return f"{sweep.label}, {sweep.key.scene}: {'; '.join([largest, *memory])}"
+
+
 def _of_scene(found: SceneSweeps) -> Iterator[Block]:
     sweeps = [sweep for _, sweep in found.sweeps]
     if found.charts:

@@ -60,9 +60,8 @@ def import_files(scene: ModelScene, compiled: MjcfModel, *, direct: bool, prepar
     prepare(builder)
     with tempfile.TemporaryDirectory(prefix="gsb-model-") as folder:
         main = unpack(scene.archive, Path(folder))
-        root = ET.parse(main).getroot()
-        if root.tag != "mujoco":
-            raise Refused(f"{scene.file} is URDF, and Newton is given MJCF here: save it as MJCF with MuJoCo first")
+        if ET.parse(main).getroot().tag == "robot":
+            main = _as_mjcf(main)
         _without_pgs(Path(folder))
         try:
             # MuJoCo's equalities are MuJoCo's: as loop joints they would add coordinates that no recording has
@@ -77,6 +76,17 @@ def _gravity_bit() -> int:
     import mujoco
 
     return int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+
+
+def _as_mjcf(urdf: Path) -> Path:
+    """What MuJoCo makes of a URDF file, as MJCF in the same folder, so that paths hold: Newton's importers differ."""
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(urdf))
+    spec.compile()
+    path = urdf.with_name(f"{urdf.stem}-as-mjcf.xml")
+    write_file(path, spec.to_xml().encode(), durable=False)
+    return path
 
 
 def _without_pgs(folder: Path) -> None:

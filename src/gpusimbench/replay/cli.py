@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, verified, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
-from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
-from gpusimbench.schemas.location import place
+from gpusimbench.schemas.errors import ExitCode, GsbError, NotARecording, UsageError
+from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.progress import stage
 from gpusimbench.schemas.text import line, show
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from gpusimbench.evaluator.replays.comparison import Compared
 
 _REQUIRED = ("bit-identical", "same-outcome")
+_READ = "recording (.mcap) of gpusimbench.wrap, D4RL file (.hdf5), or folder of a Minari or LeRobot data set"
 
 _EPILOG = """\
 The recorded actions are fed, open loop, to an environment that is made again and reset with the recorded seeds; what it
@@ -64,7 +65,7 @@ def parser() -> Parser:
     )
     p.add_argument(
         "file", type=place, metavar="FILE",
-        help="recording (.mcap) of gpusimbench.wrap, D4RL file (.hdf5), or folder of a Minari or LeRobot data set",
+        help=_READ,
     )  # fmt: skip
     how = p.add_mutually_exclusive_group()
     how.add_argument("--env", metavar="ID", help="environment of Gymnasium's registry (default: the recorded one)")
@@ -125,7 +126,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UsageError("--episodes is of data sets; of a recording, all episodes are replayed")
     if arguments.make and arguments.keywords:
         raise UsageError("--set is of environments of Gymnasium's registry: put it into the function of --make")
-    (original,) = verified([arguments.file if source is None else converted(source, arguments)])
+    (original,) = _original(arguments.file) if source is None else verified([converted(source, arguments)])
     success = arguments.success or ("success" if "success" in infos_of(original) else None)
     if success:
         successes_of(original, success, At(arguments.success_at))  # what it lacks is said before anything is replayed
@@ -138,6 +139,15 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.json != "-":
         print_document(replay_document(found, every=arguments.all), sys.stdout)
     return int(_exit_code(found, arguments.require))
+
+
+def _original(file: Place) -> list[Recording]:
+    try:
+        return verified([file])
+    except NotARecording as error:
+        if not (isinstance(file, Path) and file.is_file()):
+            raise
+        raise NotARecording(f"{error}; gsb-replay takes a {_READ}") from None
 
 
 def _replayed(original: Recording, arguments: argparse.Namespace, success: str | None) -> Path:

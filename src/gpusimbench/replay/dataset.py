@@ -30,7 +30,7 @@ def converted(source: DataSet, arguments: argparse.Namespace) -> Path:
         raise UsageError(
             f"{source.path} was made with the wrappers {', '.join(told.wrappers)}: give --env to go without them"
         )
-    origin = told_or_named(str(source.path), Origin(told.spec_id, told.keywords), arguments.env, named)
+    origin = told_or_named(str(source.path), Origin(told.spec_id, told.keywords), arguments.env, named, "--env")
     envs = registered(origin.spec_id, origin.keywords, 1)
     try:
         space, dt = envs.single_observation_space, source.dt or step_of(envs)

@@ -46,18 +46,21 @@ def origin_of(recording: Recording, named: str | None, changed: Mapping[str, Any
     return told_or_named(str(recording.path), Origin(options.get(SPEC_ID, ""), keywords, vectorization), named, changed)
 
 
-def told_or_named(file: str, told: Origin, named: str | None, changed: Mapping[str, Any]) -> Origin:
+def told_or_named(
+    file: str, told: Origin, named: str | None, changed: Mapping[str, Any], ways: str = "--env, or --make"
+) -> Origin:
     """What a file says, unless the user names something else.
 
     file     its name, for errors
     named    id that the user names; None: that of the file
     changed  keywords that the user names
+    ways     options by which the user can name an environment, for errors
 
     Nothing that a file says is imported or opened: UsageError for an id with a module, and for keywords that may be
     paths, which the user has to name.
     """
     if named is None and (not told.spec_id or ":" in told.spec_id):
-        raise UsageError(f"{file} names no environment of Gymnasium's registry: give --env, or --make")
+        raise UsageError(f"{file} names no environment of Gymnasium's registry: give {ways}")
     keywords = told.keywords if named is None or named == told.spec_id else {}
     if odd := [name for name, value in keywords.items() if name not in changed and _may_be_a_path(value)]:
         raise UsageError(f"keyword {odd[0]} of {file} may name a file: if you trust it, give --set {odd[0]}=...")
