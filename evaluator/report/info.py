@@ -56,7 +56,7 @@ def info_document(found: Inspection, *, every: bool = False) -> Document:
     blocks: list[Block] = [Facts(pairs)]
     if found.failing and found.failing.failures:
         bits = found.simulation.overflow_bits if found.simulation else ()
-        blocks.append(failing_table("failing", [("", found.failing, bits)]))
+        blocks.append(failing_table([("", found.failing, bits)]))
     if every:
         blocks.append(_arrays(found))
     else:

@@ -52,7 +52,7 @@ def _of_solver(solver: Any, places: Places, model: Any) -> Imported:
         "joints": [_listed(names["joints"], joint, "joint of Newton's") for joint in joints],
     }
     named["geoms"] = [_geom(made, geom, at, model, names["geoms"]) for geom in range(made.ngeom)]
-    named["actuators"] = _actuators(made, model, names["actuators"])
+    named["actuators"] = _actuators(made, names["actuators"])
     found = of_mujoco.imported(made, worlds.reader(solver.mjw_model), "SolverMuJoCo", named)
     equalities = tuple(_constraint(found, number, reference) for number in range(len(found.names["equalities"])))
     unread = dict(found.unread)
@@ -169,7 +169,7 @@ def _constraint(found: Imported, number: int, reference: Imported) -> str:
     return found.names["equalities"][number]
 
 
-def _actuators(made: Any, model: Any, names: Sequence[str]) -> list[str]:
+def _actuators(made: Any, names: Sequence[str]) -> list[str]:
     # they have no names in Newton: their order is MuJoCo's, as far as their number is
     numbers = range(len(made.actuator_trntype))
     return [_listed(names, number, f"actuator{number} of Newton's") for number in numbers]
