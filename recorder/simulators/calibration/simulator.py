@@ -34,6 +34,7 @@ class Calibration(Simulator):
     """N environments of spheres whose differences are built in."""
 
     Options = CalibrationOptions
+    distribution = "taichi"
     abilities = BODIES - {Ability.CAPSULES}
 
     @classmethod

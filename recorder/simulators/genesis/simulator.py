@@ -56,6 +56,7 @@ class Genesis(Slotted):
     """N environments on Genesis."""
 
     Options = GenesisOptions
+    distribution = "genesis-world"
     abilities = BODIES - {Ability.CAPSULES} | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS}
     timing_interval = 10  # Genesis itself waits for the device at every tenth substep, to look at its error codes
     blocks_ahead = 2

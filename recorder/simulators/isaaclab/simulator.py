@@ -62,6 +62,7 @@ class IsaacLab(Slotted):
     """N environments of an InteractiveScene."""
 
     Options = IsaacLabOptions
+    distribution = "isaaclab"
     abilities = BODIES - {Ability.TILTED_PLANES} | {Ability.MODELS}  # environments beside each other share a plane
     blocks_ahead = 2
     timing_interval = 10  # Newton's steps are queued; synchronising after each would be charged to it

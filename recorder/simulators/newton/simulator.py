@@ -56,6 +56,7 @@ class Newton(Slotted):
     """N environments, the worlds of one newton.Model, all at the same place."""
 
     Options = NewtonOptions
+    distribution = "newton"
     abilities = BODIES | {Ability.MODELS}
     timing_interval = BLOCK
     draws_actions = True

@@ -46,6 +46,7 @@ class Physx(Slotted):
     """N environments in one PhysX scene."""
 
     Options = PhysxOptions
+    distribution = "ovphysx"
     abilities = BODIES | ROBOTS - {Ability.ROBOT_AMONG_BODIES} | {Ability.MODELS}
     blocks_ahead = 2
     determinism_levels = {

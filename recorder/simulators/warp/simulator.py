@@ -43,6 +43,7 @@ class MujocoWarp(Slotted):
     """N environments, the worlds of one mujoco_warp.Data."""
 
     Options = WarpOptions
+    distribution = "mujoco-warp"
     abilities = BODIES | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS, *VARIED.values()}
     timing_interval = 10
     draws_actions = True
