@@ -95,6 +95,14 @@ def test_the_map_has_every_folder(package: str) -> None:
     assert sorted(mapped) == sorted(path.name for path in folders if [*path.rglob("*.py"), *path.rglob("*.proto")])
 
 
+def test_every_benchmark_is_described() -> None:
+    """Say in the README of benchmarks/ what each program there is for."""
+    described = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
+    programs = [path for path in (ROOT / "benchmarks").glob("*.py") if "__main__" in path.read_text(encoding="utf-8")]
+    assert [path.name for path in programs if path.name not in described and path.stem != "all"] == []
+    assert len(programs) > 30
+
+
 @cache
 def names_of(module: str) -> set[str]:
     """What can be imported from a module of the package: names that it binds, and modules in it; empty without one."""
