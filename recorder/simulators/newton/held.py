@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
+from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.newton.imported import Imported as Places
 from gpusimbench.recorder.simulators.newton.made import UNREAD, as_newton_has_it, colliding_bodies
 from gpusimbench.recorder.simulators.warp import worlds
@@ -148,7 +149,7 @@ def _geom(made: Any, geom: int, at: NDArray[np.int64], model: Any, names: Sequen
     # SolverMuJoCo calls a geom by its label in Newton, a path that ends with its name or number in its body
     body = int(at[made.geom_bodyid[geom]])
     own = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
-    collide = [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
+    collide = [g for g in own if collides(model, g)]
     if int((made.geom_bodyid == made.geom_bodyid[geom]).sum()) == len(collide):
         own = collide  # SolverMuJoCo has no others
     last = re.sub(r"_\d+$", "", str(made.geom(geom).name).rpartition("/")[2])
