@@ -114,8 +114,8 @@ figures: install
 	$(BIN)/python docs/make_friction.py
 	$(BIN)/python docs/make_devices.py
 	$(BIN)/python docs/make_models.py
-	$(BIN)/python -m docs.make_metrics
-	$(BIN)/python -m docs.make_loop
+	$(BIN)/python docs/make_metrics.py
+	$(BIN)/python docs/make_loop.py
 
 site: $(VENV)/.installed-test
 	$(BIN)/python docs/build_site.py site

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
+from page_blocks import redraw
+
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.report.sections.convergence import NOT_ASYMPTOTIC, said, said_locally, why_none
 from gpusimbench.evaluator.results.convergence import Convergence
@@ -24,7 +26,6 @@ from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
 from gpusimbench.recorder.scenes.registry import make_scene
 
 PAGE = Path(__file__).resolve().parent / "physics.md"
-BEGIN, END = "<!-- convergence: docs/make_convergence.py -->", "<!-- end of convergence -->"
 SECONDS = {"pendulum": 1.0, "free-fall": 0.2, "ball-drop": 0.1}
 """When states are compared [s]; nothing has touched anything by then."""
 STEPS = (0.02, 0.01, 0.005, 0.0025, 0.00125)
@@ -168,9 +169,7 @@ def main() -> None:
         raise SystemExit(__doc__)
     folder = Path(sys.argv[1]).resolve()
     record(folder, sys.argv[2:])
-    page = PAGE.read_text(encoding="utf-8")
-    head, rest = page.split(BEGIN)
-    PAGE.write_text(f"{head}{BEGIN}\n{table(folder)}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    redraw(PAGE, {"convergence": table(folder)})
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
 
+from page_blocks import redraw
 from run_names import name_of_run
 
 from gpusimbench import open_recording
@@ -22,7 +23,6 @@ from gpusimbench.evaluator.read.recording import Recording
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "determinism.md"
-BEGIN, END = "<!-- devices: docs/make_devices.py -->", "<!-- end of devices -->"
 _SCENE, _N_ENV, _DT = "inclined-collision", 16, 0.01
 Kind = tuple[str, str, str]
 """Simulator with the options that were given, its version, and its level of determinism."""
@@ -99,9 +99,7 @@ def table() -> str:
 
 def main() -> None:
     """Write the table into the page."""
-    page = PAGE.read_text(encoding="utf-8")
-    head, rest = page.split(BEGIN)
-    PAGE.write_text(f"{head}{BEGIN}\n{table()}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    redraw(PAGE, {"devices": table()})
 
 
 if __name__ == "__main__":

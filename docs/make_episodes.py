@@ -15,6 +15,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from page_blocks import redraw
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.episodes.outcome import Outcome, outcome
@@ -24,11 +25,9 @@ from gpusimbench.evaluator.statistics.rates import rate_interval, wilson
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "how-to" / "evaluate-a-policy.md"
-BEGIN, END = "<!-- episodes: docs/make_episodes.py -->", "<!-- end of episodes -->"
 EPISODES = 64
 N_ENVS = (1, 4, 16, 64)
 SEEDS = 60
-BEGIN_INTERVALS, END_INTERVALS = "<!-- intervals: docs/make_episodes.py -->", "<!-- end of intervals -->"
 DRAWS = 1000
 SHAPES = ((64, 1), (8, 4), (16, 4), (64, 4))
 CORRELATIONS = (0.0, 0.2, 0.6)
@@ -102,11 +101,7 @@ def intervals_table() -> str:
 
 def main() -> None:
     """Write the tables into the page."""
-    text = PAGE.read_text(encoding="utf-8")
-    for begin, end, drawn in ((BEGIN, END, table), (BEGIN_INTERVALS, END_INTERVALS, intervals_table)):
-        head, rest = text.split(begin)
-        text = f"{head}{begin}\n{drawn()}\n{end}{rest.split(end)[1]}"
-    PAGE.write_text(text, encoding="utf-8")
+    redraw(PAGE, {"episodes": table(), "intervals": intervals_table()})
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ import io
 import re
 from pathlib import Path
 
+from page_blocks import redraw
+
 from gpusimbench.evaluator.render.figures import palette, style
 from gpusimbench.evaluator.render.figures.svg import text
 from gpusimbench.evaluator.render.terminal import print_document
@@ -18,7 +20,6 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 
 ROOT = Path(__file__).resolve().parent.parent
-BEGIN, END = "<!-- table: make figures -->", "<!-- end of table -->"
 _TITLE, _INDENT, _GAP = 40, 44, 20
 
 
@@ -28,17 +29,11 @@ def shipped() -> Evaluation:
 
 
 def table(evaluation: Evaluation) -> str:
-    """What gsb-eval prints."""
+    """What gsb-eval prints, as Markdown."""
     stream = io.StringIO()
     print_document(brief(evaluation), stream)
-    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()).strip()
-
-
-def with_table(readme: str, shown: str) -> str:
-    """The README with the table between its markers replaced."""
-    head, rest = readme.split(BEGIN)
-    _, tail = rest.split(END)
-    return f"{head}{BEGIN}\n```text\n{shown}\n```\n{END}{tail}"
+    shown = "\n".join(line.rstrip() for line in stream.getvalue().splitlines()).strip()
+    return f"```text\n{shown}\n```"
 
 
 def picture(evaluation: Evaluation) -> str:
@@ -72,7 +67,7 @@ def main() -> None:
     """Write both."""
     evaluation = shipped()
     readme = ROOT / "README.md"
-    readme.write_text(with_table(readme.read_text(encoding="utf-8"), table(evaluation)), encoding="utf-8")
+    redraw(readme, {"table": table(evaluation)})
     target = ROOT / "docs" / "figures" / "density.svg"
     target.parent.mkdir(exist_ok=True)
     target.write_text(picture(evaluation), encoding="utf-8")

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from madrona_substep import corner_inverse_mass, normal_impulses
 from numpy.typing import NDArray
+from page_blocks import redraw
 
 from gpusimbench import open_recording
 from gpusimbench.schemas.provenance import engine_name
@@ -163,23 +164,13 @@ def markdown(rows: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def with_tables(page: str, tables: dict[str, str]) -> str:
-    """The page with the tables between their markers replaced."""
-    for name, shown in tables.items():
-        begin, end = f"<!-- {name}: make figures -->\n", f"<!-- end of {name} -->"
-        head, rest = page.split(begin)
-        _, tail = rest.split(end)
-        page = f"{head}{begin}{shown}\n{end}{tail}"
-    return page
-
-
 def main() -> int:
     """Entry point."""
     given = [Path(path) for path in sys.argv[1:]]
     if given:
         print(f"Deceleration [m/s2]\n\n{markdown(rules_table())}\n\n{markdown(measured_table(given))}")
     else:
-        PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), page_tables()), encoding="utf-8")
+        redraw(PAGE, page_tables())
     return 0
 
 

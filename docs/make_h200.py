@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from page_blocks import redraw
 from run_names import name_of_engine, name_of_run
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
@@ -38,7 +39,6 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "recordings" / "h200"
 OF_PROTOCOL = ROOT / "recordings" / "h100"
 PROBED = (ROOT / "recordings" / "probe", ROOT / "recordings" / "probe-h100")
-BEGIN, END = "<!-- {}: make figures -->", "<!-- end of {} -->"
 _SCENE = "inclined-collision"
 _NONE = "-"
 
@@ -252,38 +252,23 @@ def _answer(finding: Finding) -> str:
     return f"**{finding.answer}**" if finding.answer is Answer.NO else str(finding.answer)
 
 
-def with_block(page: str, name: str, shown: str) -> str:
-    """A page with what is between its markers replaced."""
-    begin, end = BEGIN.format(name), END.format(name)
-    head, rest = page.split(begin)
-    _, tail = rest.split(end)
-    return f"{head}{begin}\n{shown}\n{end}{tail}"
-
-
-def pages(evaluation: Evaluation) -> dict[Path, str]:
-    """The pages as they should be."""
-    card, readme, explained = FOLDER / "README.md", ROOT / "README.md", ROOT / "docs" / "determinism.md"
-    asked = ROOT / "docs" / "probe.md"
-    page = with_block(card.read_text(encoding="utf-8"), "verdicts", verdicts(evaluation))
-    page = with_block(page, "sweeps", sweeps(evaluation))
-    second = OF_PROTOCOL / "README.md"
+def blocks(evaluation: Evaluation) -> dict[Path, dict[str, str]]:
+    """What the pages should show, by the names of their markers."""
     timed_runs = evaluate_files(sorted(one for one in OF_PROTOCOL.glob("*.mcap") if "dense" not in one.name))
     return {
-        card: page,
-        second: with_block(second.read_text(encoding="utf-8"), "verdicts", verdicts(timed_runs)),
-        readme: with_block(
-            with_block(readme.read_text(encoding="utf-8"), "h200", answers(evaluation)), "probe", invariance(whole=True)
-        ),
-        explained: with_block(explained.read_text(encoding="utf-8"), "switches", switches(evaluation)),
-        asked: with_block(asked.read_text(encoding="utf-8"), "probe", invariance()),
+        FOLDER / "README.md": {"verdicts": verdicts(evaluation), "sweeps": sweeps(evaluation)},
+        OF_PROTOCOL / "README.md": {"verdicts": verdicts(timed_runs)},
+        ROOT / "README.md": {"h200": answers(evaluation), "probe": invariance(whole=True)},
+        ROOT / "docs" / "determinism.md": {"switches": switches(evaluation)},
+        ROOT / "docs" / "probe.md": {"probe": invariance()},
     }
 
 
 def main() -> None:
     """Write them."""
-    for path, page in pages(shipped()).items():
-        path.write_text(page, encoding="utf-8")
-        print(path)
+    for file, shown in blocks(shipped()).items():
+        redraw(file, shown)
+        print(file)
 
 
 if __name__ == "__main__":

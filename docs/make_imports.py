@@ -16,9 +16,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from page_blocks import block, redraw
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "how-to" / "what-the-importer-lost.md"
-BEGIN, END = "<!-- imports: docs/make_imports.py -->", "<!-- end of imports -->"
 COLUMNS = {
     "warp": "warp",
     "mjx": "mjx",
@@ -105,9 +106,7 @@ def main() -> None:
     for name in given.models.split(",") if given.models else known:
         for column in given.columns.split(","):
             print(name, column, short(measured(known[name], column, given.folder)), flush=True)
-    head, rest = PAGE.read_text().split(BEGIN)
-    present, tail = rest.split(END)
-    PAGE.write_text(f"{head}{BEGIN}\n{table(given.folder, present)}\n{END}{tail}")
+    redraw(PAGE, {"imports": table(given.folder, block(PAGE.read_text(encoding="utf-8"), "imports"))})
 
 
 if __name__ == "__main__":

@@ -17,13 +17,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from page_blocks import redraw
+
 from gpusimbench import open_recording
 from gpusimbench.evaluator.results.canonical import Law, laws
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of
 
 PAGE = Path(__file__).resolve().parent / "physics.md"
-BEGIN, END = "<!-- {}: docs/make_laws.py -->", "<!-- end of {} -->"
 BASE = 0.01
 STEPS = (0.02, BASE, 0.005)
 FINE = (*STEPS, 0.001)
@@ -200,27 +201,18 @@ def totals(power: str) -> str:
     )
 
 
-def with_block(page: str, name: str, shown: str) -> str:
-    """A page with what is between its markers replaced."""
-    head, rest = page.split(BEGIN.format(name))
-    return f"{head}{BEGIN.format(name)}\n{shown}\n{END.format(name)}{rest.split(END.format(name))[1]}"
-
-
 def main() -> None:
     """Record, and write the tables into the page."""
     if len(sys.argv) < 2:
         raise SystemExit(__doc__)
     folder = Path(sys.argv[1]).resolve()
     record(folder, sys.argv[2:])
-    page = PAGE.read_text(encoding="utf-8")
-    for scene in SECONDS:
-        if found := list(rows(folder, scene)):
-            page = with_block(page, f"laws of {scene}", table(found))
+    drawn = {f"laws of {scene}": table(found) for scene in SECONDS if (found := list(rows(folder, scene)))}
     power = folder / "power.md"
     if power.exists():
         shown = power.read_text(encoding="utf-8").strip()
-        page = with_block(page, "power of the laws", f"{shown} {totals(shown)}")
-    PAGE.write_text(page, encoding="utf-8")
+        drawn["power of the laws"] = f"{shown} {totals(shown)}"
+    redraw(PAGE, drawn)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Draws docs/figures/parting.svg: two recordings of one scene seen from above, which are alike and then part.
 
-usage: python -m docs.make_loop
+usage: python docs/make_loop.py
 """
 
 from __future__ import annotations

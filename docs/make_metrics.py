@@ -1,19 +1,15 @@
-"""The table of docs/metrics.md, drawn from the declarations of the metrics.
-
-python -m docs.make_metrics            writes it into the page
-python -m docs.make_metrics --print    prints it
-"""
+"""Redraws the table of docs/metrics.md from the declarations of the metrics."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+
+from page_blocks import redraw
 
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.metrics import METRICS
 
 PAGE = Path(__file__).resolve().parent / "metrics.md"
-BEGIN, END = "<!-- metrics: drawn by docs/make_metrics.py -->", "<!-- end of metrics -->"
 
 
 def table() -> str:
@@ -28,21 +24,9 @@ def _said(metric: Metric) -> str:
     return f"{source}{metric.docs}{interval}"
 
 
-def drawn(page: str) -> str:
-    """The page with the table between its two marks."""
-    head, _, rest = page.partition(BEGIN)
-    _, _, tail = rest.partition(END)
-    return f"{head}{BEGIN}\n\n{table()}\n\n{END}{tail}"
-
-
 def main() -> None:
-    """Write or print the table."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--print", action="store_true")
-    if p.parse_args().print:
-        print(table())
-    else:
-        PAGE.write_text(drawn(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    """Write the table into the page."""
+    redraw(PAGE, {"metrics": table()})
 
 
 if __name__ == "__main__":

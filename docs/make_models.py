@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from page_blocks import redraw
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.diff.words import length
 from gpusimbench.evaluator.read.recording import Recording
 
 ROOT = Path(__file__).resolve().parent.parent
-BEGIN, END = "<!-- engines: docs/make_models.py -->", "<!-- end of engines -->"
 TIMES: dict[str, tuple[float, ...]] = {
     "ant": (0.1, 0.2, 0.3, 0.6, 2.0),
     "humanoid": (0.03, 0.12, 0.21, 0.3, 0.6),
@@ -124,16 +124,10 @@ def _row(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def drawn(folder: str) -> str:
-    """The document of a folder with its table as the recordings give it."""
-    head, rest = page(folder).read_text(encoding="utf-8").split(BEGIN)
-    return f"{head}{BEGIN}\n{table(folder)}\n{END}{rest.split(END)[1]}"
-
-
 def main() -> None:
     """Write the tables into the documents."""
     for folder in TIMES:
-        page(folder).write_text(drawn(folder), encoding="utf-8")
+        redraw(page(folder), {"engines": table(folder)})
 
 
 if __name__ == "__main__":

@@ -12,6 +12,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from page_blocks import redraw
+
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report.fidelity import allowed, number
@@ -23,7 +25,6 @@ from gpusimbench.evaluator.runs.physics.measure import physics_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "physics.md"
-BEGIN, END = "<!-- {}: make figures -->", "<!-- end of {} -->"
 
 _AT_THE_END = (
     Check.ENERGY_START,
@@ -114,23 +115,14 @@ def every_step(found: Sequence[tuple[Fidelity, float]], scene: str) -> str:
     return "\n".join(lines)
 
 
-def with_block(page: str, name: str, shown: str) -> str:
-    """A page with what is between its markers replaced."""
-    begin, end = BEGIN.format(name), END.format(name)
-    head, rest = page.split(begin)
-    _, tail = rest.split(end)
-    return f"{head}{begin}\n{shown}\n{end}{tail}"
-
-
 def main() -> None:
     """Write the page."""
-    page = with_block(PAGE.read_text(encoding="utf-8"), "shipped", at_the_end(shipped()))
-    page = with_block(page, "changed by physics-2", changed())
+    drawn = {"shipped": at_the_end(shipped()), "changed by physics-2": changed()}
     if len(sys.argv) > 1:
         found = judged(sorted(Path(sys.argv[1]).rglob("*.mcap")))
         for scene in ("inclined-collision", "free-fall"):
-            page = with_block(page, f"every step of {scene}", every_step(found, scene))
-    PAGE.write_text(page, encoding="utf-8")
+            drawn[f"every step of {scene}"] = every_step(found, scene)
+    redraw(PAGE, drawn)
     print(PAGE)
 
 

@@ -15,10 +15,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from page_blocks import redraw
 from scipy import stats
 
 PAGE = Path(__file__).resolve().parent / "physics.md"
-BEGIN, END = "<!-- power of the laws, further counts: docs/make_power.py -->", "<!-- end of further counts -->"
 REPETITIONS = 40
 FRESH = 1_000_001
 """Of the first recording. The formulas of the claims were chosen on recordings of seeds below."""
@@ -143,9 +143,7 @@ def main() -> None:
         raise SystemExit(__doc__)
     folder = Path(sys.argv[1]).resolve()
     count(folder, sys.argv[2:])
-    page = PAGE.read_text(encoding="utf-8")
-    head, rest = page.split(BEGIN)
-    PAGE.write_text(f"{head}{BEGIN}\n{block(folder)}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    redraw(PAGE, {"further counts": block(folder)})
 
 
 if __name__ == "__main__":

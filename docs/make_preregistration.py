@@ -18,6 +18,7 @@ from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
+from page_blocks import redraw
 
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.results.details import OverTosses
@@ -211,26 +212,17 @@ def record(folder: Path) -> None:
         print(f"{simulator} {' '.join(options)}: exit code {done.returncode}", flush=True)
 
 
-def written(name: str, drawn: str) -> None:
-    """Put a table between its markers on the page."""
-    begin, end = f"<!-- {name}: docs/make_preregistration.py -->", f"<!-- end of {name} -->"
-    page = PAGE.read_text(encoding="utf-8")
-    head, rest = page.split(begin)
-    PAGE.write_text(f"{head}{begin}\n{drawn}\n{end}{rest.split(end)[1]}", encoding="utf-8")
-
-
 def main() -> None:
     """Do what the first argument says."""
     match sys.argv[1:]:
         case ["power"]:
             files = sorted((ROOT / "recordings" / "cube-toss").glob("*.mcap"))
-            written("power", power_table(evaluate_files(files, sample_time=SAMPLE_TIME)))
+            redraw(PAGE, {"power": power_table(evaluate_files(files, sample_time=SAMPLE_TIME))})
         case ["record", folder]:
             record(Path(folder))
         case ["result", folder]:
-            written(
-                "result", result_table(evaluate_files(sorted(Path(folder).rglob("*.mcap")), sample_time=SAMPLE_TIME))
-            )
+            files = sorted(Path(folder).rglob("*.mcap"))
+            redraw(PAGE, {"result": result_table(evaluate_files(files, sample_time=SAMPLE_TIME))})
         case _:
             raise SystemExit(__doc__)
 

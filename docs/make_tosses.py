@@ -15,6 +15,8 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from page_blocks import redraw
+
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.numbers import figure, interval, plural
 from gpusimbench.evaluator.report.leaders import speaks_against_pair
@@ -39,10 +41,6 @@ from gpusimbench.evaluator.statistics.families import holm
 from gpusimbench.schemas.tosses import ODD
 
 PAGE = Path(__file__).resolve().parent / "how-to" / "cube-toss.md"
-BEGIN, END = "<!-- tosses: docs/make_tosses.py -->", "<!-- end of tosses -->"
-BEGIN_LOCAL, END_LOCAL = "<!-- local errors: docs/make_tosses.py -->", "<!-- end of local errors -->"
-BEGIN_FRONT, END_FRONT = "<!-- front: docs/make_tosses.py -->", "<!-- end of front -->"
-BEGIN_FITS, END_FITS = "<!-- fits: docs/make_tosses.py -->", "<!-- end of fits -->"
 _SAMPLE_TIME = 441 / 148
 _SHOWN = (TOSS_POSITION, TOSS_ROTATION, TOSS_END_POSITION, TOSS_FACE, TOSS_DEPTH)
 _FRONT = (TOSS_POSITION, TOSS_ROTATION, TOSS_DEPTH)
@@ -211,17 +209,13 @@ def main() -> None:
     if len(sys.argv) != 2:
         raise SystemExit(__doc__)
     evaluation = evaluate_files(sorted(Path(sys.argv[1]).rglob("*.mcap")), sample_time=_SAMPLE_TIME)
-    page = PAGE.read_text(encoding="utf-8")
-    for begin, end, drawn in (
-        (BEGIN, END, table(evaluation)),
-        (BEGIN_FRONT, END_FRONT, front_table(evaluation)),
-        (BEGIN_LOCAL, END_LOCAL, local_table(evaluation)),
-        (BEGIN_FITS, END_FITS, fits(sorted(Path(sys.argv[1]).glob("*.json")))),
-    ):
-        if drawn:
-            head, rest = page.split(begin)
-            page = f"{head}{begin}\n{drawn}\n{end}{rest.split(end)[1]}"
-    PAGE.write_text(page, encoding="utf-8")
+    drawn = {
+        "tosses": table(evaluation),
+        "front": front_table(evaluation),
+        "local errors": local_table(evaluation),
+        "fits": fits(sorted(Path(sys.argv[1]).glob("*.json"))),
+    }
+    redraw(PAGE, {name: shown for name, shown in drawn.items() if shown})
     print(PAGE)
 
 

@@ -24,7 +24,7 @@ _CACHED_BYTES = 32 << 20
 _AHEAD_BYTES = 4 << 20  # in one request, of whoever reads on
 _PIECE_BYTES = 16 << 20  # of a file that is read from its beginning to its end
 _WORKERS = 8
-_CONNECT_S, _ANSWER_S = 15.0, 30.0
+_ANSWER_S = 30.0
 _FILE_S = 60.0
 _END_S = 5.0
 _LEAST_RATE = 32 << 10  # [byte/s]; time that bytes may take is added to the two above
@@ -206,10 +206,10 @@ def _file_system(location: Location) -> tuple[Any, str]:
         import fsspec
 
         if _is_web(location):
-            options = web_options(connect_s=_CONNECT_S, total_s=_LIST_S)
+            options = web_options(_LIST_S)
         else:  # as in zip://a.mcap::https://...
             behind = {part.partition("://")[0] for part in chain(location.url)}
-            options = {scheme: web_options(connect_s=_CONNECT_S, total_s=_LIST_S) for scheme in behind & {*_WEB}}
+            options = {scheme: web_options(_LIST_S) for scheme in behind & {*_WEB}}
         system, path = fsspec.core.url_to_fs(location.url, **options)
         if location.url.lower().startswith("file://") and "%" in path and not system.exists(path):
             path = unquote(path)

@@ -14,6 +14,7 @@ from urllib.parse import SplitResult, urljoin, urlsplit
 from gpusimbench.schemas.location import shown
 
 _AT_ONCE = 1 << 20
+_CONNECT_S = 15.0
 _MOST_LISTED = 16 << 20  # bytes of a page that lists files
 _PORTS = {"http": 80, "https": 443}
 
@@ -36,11 +37,10 @@ def web_part(system: Any, path: str, begin: int, end: int, limit_s: float) -> by
     return data
 
 
-def web_options(*, connect_s: float, total_s: float) -> dict[str, Any]:
+def web_options(total_s: float) -> dict[str, Any]:
     """What fsspec's HTTPFileSystem is made with, so that servers do nothing but answer.
 
-    connect_s  for a connection [s]
-    total_s    for any request that has no limit of its own [s]
+    total_s  for any request that has no limit of its own [s]
     """
     import aiohttp
 
@@ -49,7 +49,7 @@ def web_options(*, connect_s: float, total_s: float) -> dict[str, Any]:
         "get_client": _client,
         "client_kwargs": {
             "auto_decompress": False,  # a few bytes may become any number
-            "timeout": aiohttp.ClientTimeout(total=total_s, sock_connect=connect_s),
+            "timeout": aiohttp.ClientTimeout(total=total_s, sock_connect=_CONNECT_S),
         },
     }
 

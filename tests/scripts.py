@@ -20,6 +20,12 @@ def script(name: str) -> ModuleType:
     return _module(name, DOCUMENTS / f"{name}.py")
 
 
+def drawn(page: Path, name: str) -> str:
+    """What a script has drawn into a page, by the name of its markers."""
+    shown: str = script("page_blocks").block(page.read_text(encoding="utf-8"), name)
+    return shown
+
+
 @cache
 def example(name: str) -> ModuleType:
     """examples/NAME/NAME.py."""

@@ -15,7 +15,7 @@ import pytest
 
 from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import command, distribution, run_python, searched
-from tests.scripts import script
+from tests.scripts import drawn, script
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENTS = sorted(
@@ -148,12 +148,24 @@ def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
     assert "ballistic" in shell("gsb-record --list", tmp_path, environment).stdout
 
 
+@pytest.mark.parametrize("document", [p for p in DOCUMENTS if "<!-- end of " in p.read_text(encoding="utf-8")], ids=str)
+def test_what_scripts_draw_can_be_drawn_again(document: Path) -> None:
+    """Find both markers of every table that a script draws, in pairs, and the script; other bytes stay as they are."""
+    page = document.read_text(encoding="utf-8")
+    marks = dict(re.findall(r"^<!-- (.+?): (.+) -->$", page, re.MULTILINE))
+    assert sorted(marks) == sorted(re.findall(r"^<!-- end of (.+) -->$", page, re.MULTILINE))
+    assert all(by == "make figures" or (ROOT / by).is_file() for by in marks.values())
+    with_blocks = script("page_blocks").with_blocks
+    changed = with_blocks(page, dict.fromkeys(marks, "| drawn |"))
+    assert changed.count("-->\n| drawn |\n<!-- end of ") == len(marks)
+    assert with_blocks(changed, {name: drawn(document, name) for name in marks}) == page
+
+
 def test_readme_table_is_what_the_recordings_give() -> None:
     """Hold the README's table and picture to the recordings that they are of."""
     figures = script("make_figures")
     evaluation = figures.shipped()
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert figures.with_table(readme, figures.table(evaluation)) == readme, "run make figures"
+    assert figures.table(evaluation) == drawn(ROOT / "README.md", "table"), "run make figures"
     kept = (ROOT / "docs" / "figures" / "density.svg").read_text(encoding="utf-8")
     assert figures.picture(evaluation) == kept, "run make figures"
 

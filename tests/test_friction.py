@@ -11,6 +11,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import run_python
+from tests.scripts import drawn
 from tests.scripts import script as script_beside
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -24,8 +25,8 @@ def script() -> ModuleType:
 
 def test_the_page_is_as_the_script_draws_it(script: ModuleType) -> None:
     """Hold all tables to the formulas and to the recordings; make figures redraws them."""
-    page = script.PAGE.read_text(encoding="utf-8")
-    assert script.with_tables(page, script.page_tables()) == page
+    tables = script.page_tables()
+    assert {name: drawn(script.PAGE, name) for name in tables} == tables
 
 
 def test_the_recordings_are_whole_and_small(script: ModuleType) -> None:

@@ -15,7 +15,7 @@ from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN
 from tests.conftest import call
-from tests.scripts import script
+from tests.scripts import drawn, script
 from tests.test_docs import FENCE, shows
 
 RECORDINGS = Path(__file__).resolve().parent.parent / "recordings"
@@ -39,7 +39,7 @@ def models() -> ModuleType:
 def test_the_table_is_that_of_the_files(models: ModuleType, folder: str) -> None:
     """Hold the table to the recordings; make figures redraws it."""
     assert list(models.TIMES) == list(SMALL)
-    assert models.page(folder).read_text(encoding="utf-8") == models.drawn(folder)
+    assert drawn(models.page(folder), "engines") == models.table(folder)
 
 
 @pytest.mark.parametrize("folder", SMALL)

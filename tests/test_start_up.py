@@ -67,3 +67,15 @@ def test_evaluation_needs_no_simulator(module: str) -> None:
     )
     done = run_python(code)
     assert done.stdout.strip() == "[]"
+
+
+def test_adapters_import_no_engine() -> None:
+    """Import the adapters of all simulators without any engine: each is imported when a run builds it."""
+    done = run_python(
+        "import sys\nfrom gpusimbench.recorder.simulators.registry import BUILT_IN\n"
+        "needed = {name for entry in BUILT_IN for name in entry.requires} - {'psutil'}\n"
+        "assert {'mujoco', 'warp', 'jax'} <= needed\n"
+        "for entry in BUILT_IN:\n    entry.adapter()\n"
+        "print(sorted(needed & sys.modules.keys()))"
+    )
+    assert done.stdout.strip() == "[]"

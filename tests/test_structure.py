@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import itertools
+import re
 from functools import cache
 from pathlib import Path
 
@@ -79,6 +81,26 @@ def test_no_module_is_too_long(package: str) -> None:
         if (lines := len(path.read_text(encoding="utf-8").splitlines())) > LONGEST
     }
     assert long == {}
+
+
+@pytest.mark.parametrize("package", ["schemas", "recorder", "evaluator"])
+def test_the_map_has_every_folder(package: str) -> None:
+    """Name each folder of a package in the map of CONTRIBUTING.md, and none that is not there."""
+    house = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## The map of the house")[2]
+    part = house.partition(f"\n    {package}/")[2]
+    rows = itertools.takewhile(lambda row: row.startswith("      "), part.splitlines()[1:])
+    begins = [found[0] for row in rows if (found := re.match(r"( {2,6}\w+/)+ ", row))]
+    mapped = re.findall(r"\w+", " ".join(begins))
+    folders = [path for path in (ROOT / package).iterdir() if path.is_dir()]
+    assert sorted(mapped) == sorted(path.name for path in folders if [*path.rglob("*.py"), *path.rglob("*.proto")])
+
+
+def test_every_benchmark_is_described() -> None:
+    """Say in the README of benchmarks/ what each program there is for."""
+    described = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
+    programs = [path for path in (ROOT / "benchmarks").glob("*.py") if "__main__" in path.read_text(encoding="utf-8")]
+    assert [path.name for path in programs if path.name not in described and path.stem != "all"] == []
+    assert len(programs) > 30
 
 
 @cache

@@ -227,7 +227,7 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
         "hardware": read(lambda: hardware_of(recording), dict[str, Hardware]()),
         "co_tenants": read(lambda: _co_tenants(recording), None),
         "arrays": tuple(array for array in map(state, recording.fields) if array is not None),
-        "actions": tuple(_action(recording, scan, name) for name in recording.action_names),
+        "actions": tuple(_action(scan, name) for name in recording.action_names),
         "counters": read(lambda: {phase: tuple(by_name) for phase, by_name in recording.counts.items()}, _NO_NAMES),
         "hashes": read(lambda: _hashes(recording), dict[str, int]()),
         "failing": read(lambda: recording.failing, None),
@@ -315,7 +315,7 @@ def _unit(field: StateField) -> str:
     return ", ".join(f"{unit} ({count})" for unit, count in Counter(field.item_units).items())
 
 
-def _action(recording: Recording, scan: Scan, name: str) -> Array:
+def _action(scan: Scan, name: str) -> Array:
     # what is stored is told without reading it: actions of a long run are large
     streams: list[Stream] = [
         stream for topic, stream in scan.streams.items() if (p := topics.parse_action(topic)) and p.name == name

@@ -17,7 +17,9 @@ from gpusimbench.evaluator.check.integrity.problem import Problems
 from gpusimbench.evaluator.check.rules.findings import check, points
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Level, RuleSet, Scope, load_rules
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.evaluator.runs.sample_time import DEFAULT_S
 
 OF_THROUGHPUT = (
     "own-start", "window-begin", "window-begin-of-a-toss", "timed-steps", "window-end", "window-end-of-a-toss",
@@ -55,6 +57,15 @@ def unmet_by_file(recording: Recording) -> tuple[str, ...]:
     """The rules that an open recording breaks by itself."""
     found = check([_shell(recording)], [_rules(Scope.file)]).findings
     return tuple(finding.rule.id for finding in found)
+
+
+def reader(sample_time: float | None = None, *, verify: bool = True) -> Reader:
+    """How evaluations read files: each with the rules that it breaks.
+
+    sample_time  at which positions are compared [s]; None: the default, but for scenes that have a time of their own
+    """
+    time = DEFAULT_S if sample_time is None else sample_time
+    return Reader(time, unmet_by_file, verify, own_times=sample_time is None)
 
 
 class Protocol:

@@ -124,7 +124,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Audit and print; returns the exit code."""
     from gpusimbench.evaluator.audit.audit import audit
     from gpusimbench.evaluator.audit.checking import check_files
-    from gpusimbench.evaluator.audit.document import dump_json
+    from gpusimbench.evaluator.audit.json import dump_json
     from gpusimbench.evaluator.audit.replaying import ReplayPlan
     from gpusimbench.evaluator.audit.sections import audit_document
     from gpusimbench.evaluator.audit.verdict import Level

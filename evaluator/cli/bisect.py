@@ -7,7 +7,7 @@ import shlex
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
@@ -68,7 +68,7 @@ def parser() -> Parser:
         "--predicate", default="states", metavar="NAME",
         help="states, gsb-compare or a COMMAND: in which way releases differ; see --help-all (default: %(default)s)",
     )  # fmt: skip
-    p.add_argument("--package", metavar="NAME", help="what pip installs (default: the name of the simulator)")
+    p.add_argument("--package", metavar="NAME", help="what pip installs (default: the engine of the simulator)")
     p.add_argument(
         "--environment", action="append", default=[], metavar="VERSION=PATH",
         help="an interpreter or virtual environment that has this release; repeatable, the oldest first: nothing is "
@@ -97,13 +97,17 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.bisect.environment import between, releases
     from gpusimbench.evaluator.bisect.predicates import predicate_of
     from gpusimbench.evaluator.bisect.search import most
+    from gpusimbench.evaluator.compute.recorder import about
     from gpusimbench.evaluator.render.terminal import print_document
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # no run goes on that nobody waits for
     given = _given(arguments)
     _check(arguments, given)
-    plan = _plan(arguments)
-    package = arguments.package or arguments.sim
+    engine = about(arguments.sim)
+    plan = _plan(arguments, engine)
+    package = arguments.package or engine.get("distribution") or (arguments.sim if given else "")
+    if not package:
+        raise UsageError(f"pip has no releases of {arguments.sim}: name what it should install with --package")
     known = tuple(given) or releases(package)
     versions = between(known, arguments.good or known[0], arguments.bad or known[-1])
     _say(f"{len(versions)} releases from {versions[0]} to {versions[-1]}; at most {most(len(versions))} are recorded")
@@ -152,16 +156,15 @@ def _check(arguments: argparse.Namespace, given: dict[str, Path]) -> None:
     check_target(arguments.json)
 
 
-def _plan(arguments: argparse.Namespace) -> Plan:
+def _plan(arguments: argparse.Namespace, engine: dict[str, Any]) -> Plan:
     from gpusimbench.evaluator.bisect.plan import Plan, with_options
     from gpusimbench.evaluator.bisect.predicates import compares
-    from gpusimbench.evaluator.compute.recorder import about
 
     several = compares(arguments.predicate)
     return Plan(
         arguments.sim,
         arguments.scene,
-        with_options(tuple(arguments.option), about(arguments.sim).get("across_releases", {})),
+        with_options(tuple(arguments.option), engine.get("across_releases", {})),
         arguments.n_env,
         arguments.steps,
         arguments.seed,

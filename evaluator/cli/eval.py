@@ -98,12 +98,11 @@ def _formats(text: str) -> tuple[str, ...]:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
-    from gpusimbench.evaluator.check.protocol import unmet_by_file
+    from gpusimbench.evaluator.check.protocol import reader
     from gpusimbench.evaluator.read.addresses import expand, left_below
     from gpusimbench.evaluator.results.evaluate import evaluate
-    from gpusimbench.evaluator.runs.reader import Reader
     from gpusimbench.evaluator.runs.run import Run
-    from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, read_sampled
+    from gpusimbench.evaluator.runs.sample_time import read_sampled
 
     check_sample_time(arguments.sample_time)
     check_target(arguments.json)
@@ -119,10 +118,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         reportlab()
     with ExitStack() as stack:
         work = _work(arguments, stack)
-        reader = Reader(arguments.sample_time or DEFAULT_S, unmet_by_file, verify=not arguments.no_verify)
         places, reference_place = expand(arguments.files), _one(arguments.reference)
         wanted = list(dict.fromkeys([*places, *([reference_place] if reference_place else [])]))
-        sampled = read_sampled(wanted, reader, work, chosen=arguments.sample_time is not None)
+        sampled = read_sampled(wanted, reader(arguments.sample_time, verify=not arguments.no_verify), work)
         read = dict(zip(wanted, sampled.files, strict=True))
         files = [read[place] for place in places]
         reference = _readable(read[reference_place]) if reference_place else None

@@ -28,15 +28,10 @@ class Side:
     notes: tuple[str, ...]
 
 
-def read_sides(
-    base: Sequence[Place], head: Sequence[Place], reader: Reader, work: Work, *, chosen: bool = True
-) -> tuple[Side, Side]:
-    """Read both sets; UsageError where a run is in both.
-
-    chosen  the reader's sample time is the user's, and not one that shorter recordings may replace
-    """
+def read_sides(base: Sequence[Place], head: Sequence[Place], reader: Reader, work: Work) -> tuple[Side, Side]:
+    """Read both sets; UsageError where a run is in both."""
     wanted = list(dict.fromkeys([*base, *head]))
-    sampled = read_sampled(wanted, reader, work, chosen=chosen)
+    sampled = read_sampled(wanted, reader, work)
     read = dict(zip(wanted, sampled.files, strict=True))
     one, other = (_side([read[place] for place in places]) for places in (base, head))
     one = replace(one, notes=(*one.notes, *notes_on(sampled.shorter, sampled.time, (*one.files, *other.files))))

@@ -21,7 +21,7 @@ class Gap:
     exactness        "exact": the optimum up to float64 rounding; "certified": between bounds
     method           the solver that produced it
     extension        what goes beyond the published definition; None where nothing does
-    low_cm, high_cm  W1 is between them [cm]; both the value where it is exact
+    low_cm           lower bound [cm]; the value where it is exact
     """
 
     value_cm: float
@@ -29,7 +29,6 @@ class Gap:
     method: str
     extension: str | None
     low_cm: float
-    high_cm: float
 
 
 def sim_to_real_gap(simulated: npt.ArrayLike, real: npt.ArrayLike) -> Gap:
@@ -61,7 +60,6 @@ def sim_to_real_gap(simulated: npt.ArrayLike, real: npt.ArrayLike) -> Gap:
         method=transport.method,
         extension=transport.extension,
         low_cm=transport.low * CM_PER_M,
-        high_cm=transport.high * CM_PER_M,
     )
 
 

@@ -93,8 +93,8 @@ def _cell(cell: Any) -> Any:
     return Hanging(cell, hang=2) if isinstance(cell, (str, Text)) else cell
 
 
-def make_console(stream: IO[str], *, columns: int = 0) -> Screen:
-    """A console that prints text as it is, in colour on a terminal alone; elsewhere as wide as `columns` need."""
+def make_console(stream: IO[str]) -> Screen:
+    """A console that prints text as it is, in colour on a terminal alone; elsewhere of a fixed width."""
     console = Screen(file=stream, highlight=False, markup=False, emoji=False)
     if console.is_terminal:
         return console
@@ -103,7 +103,7 @@ def make_console(stream: IO[str], *, columns: int = 0) -> Screen:
         highlight=False,
         markup=False,
         emoji=False,
-        width=max(_WIDTH_WITHOUT_TERMINAL, 30 * (columns + 1)),
+        width=_WIDTH_WITHOUT_TERMINAL,
         color_system=None,
     )
 

@@ -20,7 +20,7 @@ _COLUMNS = (
 )
 
 
-def failing_table(key: str, found: Sequence[tuple[str, Failing, Sequence[OverflowBit]]]) -> Table:
+def failing_table(found: Sequence[tuple[str, Failing, Sequence[OverflowBit]]]) -> Table:
     """A row for each environment whose states are kept.
 
     found  of each recording its name, what failed, and what the engine's overflow bits are; one name is not shown
@@ -32,7 +32,7 @@ def failing_table(key: str, found: Sequence[tuple[str, Failing, Sequence[Overflo
         for failure in failing.failures
     ]
     columns = [*([Column("recording")] if named else []), *_COLUMNS]
-    return table(key, "Environments that failed first", columns, rows)
+    return table("failing", "Environments that failed first", columns, rows)
 
 
 def counted(failing: Failing, n_env: int) -> str:

@@ -23,6 +23,7 @@ from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
+from gpusimbench.schemas.text import cut
 from gpusimbench.schemas.treatment import VARIED, initial_words
 from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS
 
@@ -55,7 +56,7 @@ def info_document(found: Inspection, *, every: bool = False) -> Document:
     blocks: list[Block] = [Facts(pairs)]
     if found.failing and found.failing.failures:
         bits = found.simulation.overflow_bits if found.simulation else ()
-        blocks.append(failing_table("failing", [("", found.failing, bits)]))
+        blocks.append(failing_table([("", found.failing, bits)]))
     if every:
         blocks.append(_arrays(found))
     else:
@@ -95,8 +96,7 @@ def _file(value: Any) -> Any:
 
 
 def _short(text: str) -> str:
-    one_line = " ".join(text.split())
-    return one_line if len(one_line) <= _LONGEST else f"{one_line[: _LONGEST - 3]}..."
+    return cut(" ".join(text.split()), _LONGEST)
 
 
 def _entries(found: Inspection) -> Iterator[tuple[str, str]]:

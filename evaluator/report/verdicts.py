@@ -20,6 +20,7 @@ from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_LOCAL_POSITION, TOSS_POSITION, TOSS_ROTATION
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
+from gpusimbench.schemas.text import cut
 
 Results = Sequence[GroupResult]
 
@@ -190,7 +191,7 @@ def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: 
     if not compared:
         reasons = {claim.why_not for _, claim in claims}
         why = reasons.pop() if len(reasons) == 1 else ""
-        return Cell(NOT_COMPARED, notes=(*([words.shortened(why, 80)] if why else []), *notes), tone=Tone.QUIET)
+        return Cell(NOT_COMPARED, notes=(*([cut(why, 80)] if why else []), *notes), tone=Tone.QUIET)
     differ = [r for r, holds in compared if not holds]
     n = compared[0][0].metrics[counted.name].n
     if not differ:

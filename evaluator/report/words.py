@@ -122,11 +122,6 @@ def model(found: MemoryModel) -> str:
     return f"{line}; off by at most {worst}" if found.holds else f"{line}; does NOT hold: off by {worst}"
 
 
-def shortened(text: str, length: int = 160) -> str:
-    """A reason for a table; the whole of it stands in JSON and HTML."""
-    return text if len(text) <= length else f"{text[: length - 3]}..."
-
-
 def equality(metric: Estimate) -> str:
     """A level of equality with the difference that it rests on; a dash where there is none."""
     if isinstance(metric.value, Missing):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.check.protocol import Protocol, Unmet, unmet_by_file
+from gpusimbench.evaluator.check.protocol import Protocol, Unmet, reader
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.compute.work import HERE, Work
 from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors
@@ -38,7 +38,7 @@ from gpusimbench.evaluator.results.validity import validity_of
 from gpusimbench.evaluator.runs import cotenancy
 from gpusimbench.evaluator.runs.groups import Group, group, status_notes
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
-from gpusimbench.evaluator.runs.reader import Reader, Unreadable
+from gpusimbench.evaluator.runs.reader import Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, notes_on
 from gpusimbench.evaluator.runs.toss_motion import (
@@ -64,7 +64,7 @@ class _Found:
 
 def evaluate_files(paths: Iterable[Place], *, sample_time: float = DEFAULT_S) -> Evaluation:
     """Every metric of every group of some recordings, whose digests are taken on trust; see `evaluate`."""
-    return evaluate(map(Reader(sample_time, unmet_by_file, verify=False), paths), sample_time=sample_time)
+    return evaluate(map(reader(sample_time, verify=False), paths), sample_time=sample_time)
 
 
 def evaluate(

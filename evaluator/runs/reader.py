@@ -56,12 +56,14 @@ class Reader:
     rules        gives the rules that an open recording breaks by itself: check.protocol.unmet_by_file
     verify       whether every byte is read and held against the digests
     verified     stamps of files for which that was done before: a file that still has its stamp is not read as a whole
+    own_times    whether scenes that name another sample time, or end before it, are read at theirs: see sample_time.py
     """
 
     sample_time: float
     rules: Callable[[Recording], tuple[str, ...]]
     verify: bool = True
     verified: Mapping[Place, Stamp] = field(default_factory=dict)
+    own_times: bool = False
 
     def __call__(self, path: Place) -> Run | Unreadable:
         """Read one file, in memory that its size does not govern: see docs/scale.md."""

@@ -61,13 +61,11 @@ def _why(at: float, time: float, runs: Sequence[Run]) -> str:
     return f"{last}; scene.json names no sample time"
 
 
-def read_sampled(places: Sequence[Place], reader: Reader, work: Work, *, chosen: bool) -> Sampled:
-    """Read files, and those of scenes with another sample time than the reader's at that one.
-
-    chosen  the user has named the reader's sample time, and no other is taken
-    """
+def read_sampled(places: Sequence[Place], reader: Reader, work: Work) -> Sampled:
+    """Read files, and those of scenes with another sample time than the reader's at that one, if it says so."""
     files = dict(zip(places, read_all(places, reader, work), strict=True))
-    others = {} if chosen else _others([file for file in files.values() if isinstance(file, Run)], reader.sample_time)
+    runs = [file for file in files.values() if isinstance(file, Run)]
+    others = _others(runs, reader.sample_time) if reader.own_times else {}
     for time in set(others.values()):
         again = [
             place

@@ -98,7 +98,7 @@ def spread(recording: Recording) -> Spread | Missing:
     rows = np.arange(0, len(steps), -(-len(steps) // MAX_STEPS))
     sums = [_Sums(recording, f, a, rows, of) for f, a, of in zip(fields, arrays, items, strict=True)]
     wanted = _differing(recording, steps, rows)
-    for some in _chunks(rows[wanted], len(steps), first_alone=int(steps[0]) == 0):
+    for some in _chunks(rows[wanted], first_alone=int(steps[0]) == 0):
         for each in sums:
             each.read(some)
     return replace(_result(recording, fields, steps[rows], sums, int(wanted.sum())), unit=unit, bodies=bodies)
@@ -185,7 +185,7 @@ def _differing(recording: Recording, steps: NDArray[np.int64], rows: NDArray[np.
     return ~np.isin(steps[rows], agree)
 
 
-def _chunks(rows: NDArray[np.int64], n_row: int, *, first_alone: bool) -> Iterator[NDArray[np.int64]]:
+def _chunks(rows: NDArray[np.int64], *, first_alone: bool) -> Iterator[NDArray[np.int64]]:
     """The rows, cut where the recorder cuts its blocks."""
     offset = _BLOCK_ROWS - 1 if first_alone else 0
     block = (rows + offset) // _BLOCK_ROWS

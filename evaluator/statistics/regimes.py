@@ -35,7 +35,6 @@ class RegimeProbabilities:
 
     observed           of the runs at hand
     probabilities      of Types 1, 2, 3, 4 for another sample of as many runs
-    leave_one_out      regime without run r, one per run
     decided_by         runs without which the regime is another
     run_differs_below  all runs agree with the first one, so that another run does not with less than this probability,
                        at 95 %; None where not all agree
@@ -48,7 +47,6 @@ class RegimeProbabilities:
 
     observed: Regime
     probabilities: tuple[float, float, float, float]
-    leave_one_out: tuple[Regime, ...]
     decided_by: tuple[int, ...]
     run_differs_below: float | None
     agreement: str
@@ -57,10 +55,6 @@ class RegimeProbabilities:
     n_draw: int
     seed: int
     n_run: int
-
-    def probability(self, regime: Regime) -> float:
-        """Of one type."""
-        return self.probabilities[regime - 1]
 
 
 def regime_probabilities(
@@ -113,7 +107,6 @@ def regime_probabilities(
     return RegimeProbabilities(
         observed=observed,
         probabilities=(share[0], share[1], share[2], share[3]),
-        leave_one_out=without,
         decided_by=tuple(r for r, regime in enumerate(without) if regime != observed),
         run_differs_below=upper_bound_of_none(n_run - 1) if agreement else None,
         agreement=agreement,

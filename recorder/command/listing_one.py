@@ -59,6 +59,7 @@ def _simulator(entry: Entry) -> Json:
     return {
         "device_here": device,
         "options": _options(adapter),
+        "distribution": adapter.distribution,
         "across_releases": adapter.across_releases,
         "state": {field.name: str(getattr(claims, field.name)) for field in fields(claims)},
         "levels": [

@@ -60,6 +60,7 @@ class Simulator(ABC):
     """N identical environments of one scene on one engine.
 
     Options          frozen dataclass of the engine's own options; every field has a default
+    distribution     what pip installs to have a release of the engine; empty where pip has none
     abilities        what the engine can do, with some of its options at least; none where a class does not say
     timing_interval  steps between two clock readings of the timed phase; 1 unless reading the clock would cost
     determinism_levels    levels that can be asked for, and what each sets, in words; "default" is the engine as it
@@ -72,6 +73,7 @@ class Simulator(ABC):
     """
 
     Options: ClassVar[type]
+    distribution: ClassVar[str] = ""
     abilities: ClassVar[frozenset[Ability]] = frozenset()
     timing_interval: ClassVar[int] = 1
     determinism_levels: ClassVar[dict[str, str]] = {"default": "the engine as it ships"}

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -19,9 +20,11 @@ from gpusimbench.evaluator.bisect.environment import RECORDING, NotInstalled, be
 from gpusimbench.evaluator.bisect.plan import with_options
 from gpusimbench.evaluator.bisect.predicates import Verdict, first_number, predicate_of
 from gpusimbench.evaluator.bisect.search import most, search
+from gpusimbench.evaluator.compute.recorder import about
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.terminal import print_document
+from gpusimbench.recorder.simulators.registry import BUILT_IN
 from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import call
 
@@ -232,12 +235,22 @@ def test_what_no_release_can_do(tmp_path: Path) -> None:
         (("--sim", "mujoco", "--good", "3", "--bad", "4", "--predicate", "'"), "--predicate is no command"),
         (("--sim", "mujoco", "--good", "3", "--bad", "4", "--predicate", ""), "--predicate is empty"),
         (("--sim", "mujco", "--environment", "1=a", "--environment", "2=b"), "did you mean 'mujoco'"),
+        (("--sim", "madrona", "--good", "1", "--bad", "2"), "pip has no releases of madrona"),
     ],
 )
 def test_wrong_usage(arguments: tuple[str, ...], message: str) -> None:
     """Refuse what cannot be before anything is installed or recorded."""
     done = call("gsb-bisect", *arguments, code=2)
     assert message in done.stderr
+
+
+@pytest.mark.parametrize(("simulator", "package"), [("warp", "mujoco-warp"), ("mjx", "mujoco-mjx"), ("brax", "brax")])
+def test_pip_is_asked_for_the_engine(simulator: str, package: str) -> None:
+    """Install the distribution that the engine's module is of, which other names on the index are not."""
+    (engine,) = (entry for entry in BUILT_IN if entry.name == simulator)
+    assert engine.adapter().distribution == about(simulator)["distribution"] == package
+    files = [str(file) for file in metadata.files(package) or []]
+    assert any(file.startswith(engine.requires[-2].replace(".", "/")) for file in files)
 
 
 def _wheel(folder: Path, name: str, version: str) -> None:

@@ -17,7 +17,7 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from tests.conftest import call
-from tests.scripts import script
+from tests.scripts import drawn, script
 
 _BOUNCY = ("--option", "solref=0.02 0.2")
 
@@ -83,13 +83,12 @@ def test_what_nothing_predicts_has_neither_a_verdict_nor_a_share(tmp_path: Path)
 def test_the_page_has_the_tables_of_the_scripts() -> None:
     """Hold a row of every engine with its version, and a cell for every law, between the markers."""
     laws = script("make_laws")
-    page = laws.PAGE.read_text(encoding="utf-8")
     six = {"mujoco", "warp", "mjx", "physx", "sapien", "genesis"}
     for name, engines in (
         ("laws of pendulum", six), ("laws of sliding-block", six), ("laws of ball-drop", {"mujoco", "warp", "newton"}),
         ("laws of four-bar", {"mujoco", "warp", "mjx", "genesis"}), ("power of the laws", set()),
     ):  # fmt: skip
-        shown = page.split(laws.BEGIN.format(name))[1].split(laws.END.format(name))[0]
+        shown = drawn(laws.PAGE, name)
         assert len(shown.strip().splitlines()) > 4
         assert re.search(r"mujoco \d+\.\d+\.\d+", shown)
         if engines:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from docs.make_metrics import PAGE, drawn, table
 from gpusimbench.evaluator.cli.compare import main as gsb_compare
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.table_files import Format, table_files
@@ -25,6 +24,7 @@ from gpusimbench.evaluator.results.metric import BYTES, Axis, Direction, Metric,
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
 from tests.pages import print_all
+from tests.scripts import drawn, script
 from tests.synthetic import write_recording
 
 STEPS = Metric(
@@ -63,7 +63,8 @@ def test_one_declaration_is_in_all_outputs(with_steps: Metric, recordings: list[
     page = render_html(evaluation, published=False, command="gsb-eval")
     assert re.search(rf'<th class=num scope=col title="[^"]*">{re.escape(with_steps.titled)}</th>', page)
     assert f"<code>{with_steps.name}</code>" in page
-    assert f"| `{with_steps.name}` | {with_steps.title} | steps | higher | {with_steps.docs}" in table()
+    table = script("make_metrics").table()
+    assert f"| `{with_steps.name}` | {with_steps.title} | steps | higher | {with_steps.docs}" in table
     files = table_files(report(Source(evaluation, False, "")), [Format.CSV])
     text = next(file.decode() for name, file in files.items() if name.startswith("costs."))
     titles, row = list(csv.reader(text.splitlines()))[:2]
@@ -87,8 +88,8 @@ def test_one_declaration_is_compared(
 
 def test_the_page_is_what_the_declarations_draw() -> None:
     """Keep the table of docs/metrics.md as docs/make_metrics.py draws it."""
-    page = PAGE.read_text(encoding="utf-8")
-    assert page == drawn(page), "python -m docs.make_metrics"
+    metrics = script("make_metrics")
+    assert drawn(metrics.PAGE, "metrics") == metrics.table(), "run make figures"
 
 
 def test_declarations_are_whole() -> None:

@@ -5,16 +5,22 @@ The model has a floating and a fixed tree, several joints on a body, references,
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from gpusimbench.evaluator.imports.parameters import Finding, compare
+from gpusimbench.recorder.run.import_phase import tried
 from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
+from gpusimbench.schemas.imported import Imported, Trials
 from gpusimbench.schemas.model_files import pack
+from tests.recorder.engines import make
 
 LEG = """
   <body name="{side}thigh" pos="{y} 0 -.1" quat=".9 .1 .3 0">
@@ -59,6 +65,11 @@ TOUCHING = (
 held by one of them."""
 
 
+def world(body: str, rest: str = "", option: str = 'timestep="0.005"') -> str:
+    """A model file with these bodies."""
+    return f"<mujoco><option {option}/><worldbody>{body}</worldbody>{rest}</mujoco>"
+
+
 def scene_of(text: str, folder: Path, **more: str) -> ModelScene:
     """The scene of a model file with this text."""
     path = folder / "robot.xml"
@@ -98,6 +109,37 @@ def read_back(simulator: Any, description: Description, seed: int) -> Any:
     for field, a, b in zip(description.fields, simulator.state(), given, strict=True):
         np.testing.assert_allclose(a, b, atol=2e-6, err_msg=field.name)
     return qpos
+
+
+def hold_parameters(held: Imported) -> list[Finding]:
+    """Differ from the mixed model in added links and missing tendons, and from a model with another mass and another
+    limit in these two. Returns the first differences."""
+    found = [f for kind in compare(of_c(mujoco.MjModel.from_xml_string(MIXED)), held) for f in kind.findings]
+    assert {(f.kind, f.parameter) for f in found} == {("bodies", ""), ("tendons", "")}
+    other = MIXED.replace('mass="2"', 'mass="2.1"').replace("-90 90", "-90 91", 1)
+    changed = compare(of_c(mujoco.MjModel.from_xml_string(other)), held)
+    items = {(f.item, f.parameter) for kind in changed for f in kind.findings if f.parameter}
+    assert {("arm", "mass"), ("leftroll", "range")} <= items
+    assert {item for item, _ in items} == {"arm", "leftroll"}
+    return found
+
+
+def answer_trials(scene: ModelScene, simulator: str, **options: Any) -> Trials:
+    """Answer the trials of gsb-import with poses relative to each environment's origin."""
+    found = tried(scene, lambda still, n_env: make(simulator, replace(still), n_env=n_env, **options), dt=0.001, seed=0)
+    assert found is not None
+    trunk = found.links.index("trunk")
+    np.testing.assert_allclose(found.position[:, trunk], found.given["bodies/position"][:, 0], atol=1e-5)
+    return found
+
+
+def move_by_actuator(found: Trials) -> None:
+    """Move by an actuator otherwise than without: it acts in an environment of its own."""
+    moved = {
+        kind + target: found.velocity["joints/qvel"][-1, i]
+        for i, (kind, target) in enumerate(zip(found.kinds, found.targets, strict=True))
+    }
+    assert np.abs(moved["actuatorm"] - moved["rest"]).max() > 0.01
 
 
 def reset_alone(simulator: Simulator, description: Description, first: States) -> None:

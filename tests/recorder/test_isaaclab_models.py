@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,25 +17,30 @@ import pytest
 pytest.importorskip("isaaclab")
 pytest.importorskip("ovphysx")
 
-from gpusimbench.evaluator.imports.parameters import compare
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.run.import_phase import tried
 from gpusimbench.recorder.scenes.model.scene import ModelScene
-from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.isaaclab.physx import measured
-from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.schemas.errors import UsageError
 from tests.recorder import engines
-from tests.recorder.mixed_model import MIXED, TOUCHING, drawn, read_back, reset_alone, scene_of, stepped
+from tests.recorder.mixed_model import (
+    MIXED,
+    TOUCHING,
+    answer_trials,
+    drawn,
+    hold_parameters,
+    move_by_actuator,
+    read_back,
+    reset_alone,
+    scene_of,
+    stepped,
+    world,
+)
 
 # the engine's own, of its next release; mujoco's of numpy
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
 
 slow = pytest.mark.slow
-
-
-def _world(body: str, rest: str = "", option: str = 'timestep="0.005"') -> str:
-    return f"<mujoco><option {option}/><worldbody>{body}</worldbody>{rest}</mujoco>"
 
 
 @contextmanager
@@ -136,7 +140,7 @@ HINGE = '<body name="r"><joint name="j" axis="0 0 1" {0}/><geom type="capsule" s
 def test_where_drives_come_to_rest(joint: str, actuator: str, wanted: float | None, tmp_path: Path) -> None:
     """Rest where springs, servos and clamped motors balance, as in MuJoCo: Isaac Lab's commands leave no spring out."""
     key = '<keyframe><key ctrl="0.8"/></keyframe>' if actuator else ""
-    text = _world(
+    text = world(
         HINGE.format(joint),
         f"<actuator>{actuator}</actuator>{key}",
         'gravity="0 0 0" timestep="0.01" integrator="implicitfast"',
@@ -149,7 +153,7 @@ def test_where_drives_come_to_rest(joint: str, actuator: str, wanted: float | No
 
 def test_controls_that_end(tmp_path: Path) -> None:
     """Give zeros after forces, and keep no force of an earlier step: a cart goes on at the speed that it has."""
-    text = _world(
+    text = world(
         '<body><joint name="x" type="slide" axis="1 0 0"/><geom size=".1" mass="2"/></body>',
         '<actuator><motor joint="x" gear="4"/></actuator>',
         'gravity="0 0 0"',
@@ -167,7 +171,7 @@ def test_controls_that_end(tmp_path: Path) -> None:
 def test_what_may_touch(tmp_path: Path) -> None:
     """Rest on the plane that all environments share and on a table of their own, and keep apart what MuJoCo keeps
     apart, geom by geom; bodies without joints are no articulations there."""
-    found, wanted = _both(scene_of(_world(TOUCHING), tmp_path), 300, n_env=3)
+    found, wanted = _both(scene_of(world(TOUCHING), tmp_path), 300, n_env=3)
     heights = found["bodies/position"][-1, :, :, 2]
     np.testing.assert_allclose(heights, [[0.1, 0.7, 0.45]] * 3, atol=2e-3)
     np.testing.assert_allclose(heights[:2], wanted["bodies/position"][-1, :, :, 2], atol=2e-3)
@@ -179,7 +183,7 @@ def test_what_may_touch(tmp_path: Path) -> None:
 @slow
 def test_environments_in_one_place(tmp_path: Path) -> None:
     """Leave environments in one place to themselves: each has its robot, and they share what is fixed."""
-    text = _world(
+    text = world(
         '<geom type="plane" size="5 5 .1"/><body pos="0 0 1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
     )
     found, wanted = _both(scene_of(text, tmp_path), 200, n_env=3, spacing=0)
@@ -191,14 +195,7 @@ def test_what_it_holds(tmp_path: Path) -> None:
     """Hold MuJoCo's masses, inertias, limits, springs and friction of joints, as read from the engine; a model with
     another mass and another limit differs in these two. The recording has the stage, without clones."""
     with _built(scene_of(MIXED, tmp_path)) as (simulator, description):
-        held = simulator.imported()
-    found = [f for kind in compare(of_c(mujoco.MjModel.from_xml_string(MIXED)), held) for f in kind.findings]
-    assert {(f.kind, f.parameter) for f in found} == {("bodies", ""), ("tendons", "")}  # added links, and no tendons
-    other = MIXED.replace('mass="2"', 'mass="2.1"').replace("-90 90", "-90 91", 1)
-    changed = compare(of_c(mujoco.MjModel.from_xml_string(other)), held)
-    items = {(f.item, f.parameter) for kind in changed for f in kind.findings if f.parameter}
-    assert {("arm", "mass"), ("leftroll", "range")} <= items
-    assert {item for item, _ in items} == {"arm", "leftroll"}
+        hold_parameters(simulator.imported())
     stage = description.attachments["scene.usda"][1].decode()
     assert stage.count("PhysicsArticulationRootAPI") == 2
 
@@ -206,29 +203,15 @@ def test_what_it_holds(tmp_path: Path) -> None:
 def test_trials(tmp_path: Path) -> None:
     """Answer the trials of gsb-import: poses relative to each environment's origin, and actuators each in one of its
     own."""
-    scene = scene_of(MIXED, tmp_path)
-
-    def make(still: Any, n_env: int) -> Simulator:
-        return engines.make("isaaclab", replace(still), n_env=n_env)
-
-    found = tried(scene, make, dt=0.001, seed=0)
-    assert found is not None
-    np.testing.assert_allclose(
-        found.position[:, found.links.index("trunk")], found.given["bodies/position"][:, 0], atol=1e-5
-    )
-    moved = {
-        kind + target: found.velocity["joints/qvel"][-1, i]
-        for i, (kind, target) in enumerate(zip(found.kinds, found.targets, strict=True))
-    }
-    assert np.abs(moved["actuatorm"] - moved["rest"]).max() > 0.01
+    move_by_actuator(answer_trials(scene_of(MIXED, tmp_path), "isaaclab"))
 
 
 def test_refusals(tmp_path: Path) -> None:
     """Refuse a ball joint by its name, and models on the backend that was not given any."""
-    ball = _world('<body><joint name="shoulder" type="ball"/><geom size=".1"/></body>')
+    ball = world('<body><joint name="shoulder" type="ball"/><geom size=".1"/></body>')
     with pytest.raises(Refused, match="ball joint 'shoulder'"):
         engines.make("isaaclab", scene_of(ball, tmp_path)).build()
-    parts = _world('<body name="b"><freejoint/><geom size=".1"/><body><geom size=".1" pos="0 0 .2"/></body></body>')
+    parts = world('<body name="b"><freejoint/><geom size=".1"/><body><geom size=".1" pos="0 0 .2"/></body></body>')
     with pytest.raises(Refused, match="no articulation without joints, such as that of body 'b'"):
         engines.make("isaaclab", scene_of(parts, tmp_path)).build()
     with pytest.raises(UsageError, match="no model files: use backend=ovphysx"):
@@ -237,7 +220,7 @@ def test_refusals(tmp_path: Path) -> None:
 
 def test_sizes_of_buffers(tmp_path: Path) -> None:
     """Count the contacts of a model file for PhysX's buffers on a GPU, under the options of the file."""
-    text = _world(
+    text = world(
         '<geom type="plane" size="5 5 .1"/><body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
     )
     scene = scene_of(text, tmp_path)

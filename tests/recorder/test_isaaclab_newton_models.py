@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +15,20 @@ import pytest
 pytest.importorskip("isaaclab")
 pytest.importorskip("mujoco_warp")
 
-from gpusimbench.evaluator.imports.parameters import compare
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.run.import_phase import tried
 from gpusimbench.recorder.scenes.model.scene import ModelScene
-from gpusimbench.recorder.simulators.base import Description, Simulator
-from gpusimbench.recorder.simulators.mujoco.imported import of_c
+from gpusimbench.recorder.simulators.base import Description
 from tests.recorder import engines
-from tests.recorder.mixed_model import MIXED, TOUCHING, read_back, reset_alone, scene_of, stepped
+from tests.recorder.mixed_model import (
+    MIXED,
+    TOUCHING,
+    answer_trials,
+    hold_parameters,
+    read_back,
+    reset_alone,
+    scene_of,
+    stepped,
+)
 
 # the engine's own, of its next release; mujoco's of numpy
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
@@ -70,14 +75,7 @@ def test_parameters(tmp_path: Path) -> None:
     """Hold MuJoCo's masses, inertias, limits, springs and friction of joints; a model with another mass and another
     limit differs in these two."""
     with _built(scene_of(MIXED, tmp_path)) as (simulator, _):
-        held = simulator.imported()
-    found = [f for kind in compare(of_c(mujoco.MjModel.from_xml_string(MIXED)), held) for f in kind.findings]
-    assert {(f.kind, f.parameter) for f in found} == {("bodies", ""), ("tendons", "")}  # added links, and no tendons
-    other = MIXED.replace('mass="2"', 'mass="2.1"').replace("-90 90", "-90 91", 1)
-    changed = compare(of_c(mujoco.MjModel.from_xml_string(other)), held)
-    items = {(f.item, f.parameter) for kind in changed for f in kind.findings if f.parameter}
-    assert {("arm", "mass"), ("leftroll", "range")} <= items
-    assert {item for item, _ in items} == {"arm", "leftroll"}
+        hold_parameters(simulator.imported())
 
 
 JOINT = """<mujoco><option gravity="0 0 0" timestep="0.01" integrator="{integrator}"{medium}/>
@@ -152,13 +150,7 @@ def test_states_and_trials(tmp_path: Path) -> None:
         assert [a.tobytes() for a in after] == [a.tobytes() for a in simulator.states(3)]
         reset_alone(simulator, description, first)
 
-    def make(still: Any, n_env: int) -> Simulator:
-        return engines.make("isaaclab", replace(still), n_env=n_env, backend="newton")
-
-    answered = tried(scene, make, dt=0.001, seed=0)
-    assert answered is not None
-    trunk = answered.links.index("trunk")
-    np.testing.assert_allclose(answered.position[:, trunk], answered.given["bodies/position"][:, 0], atol=1e-5)
+    answer_trials(scene, "isaaclab", backend="newton")
 
 
 def test_refusals(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ can be compared closely; TGS, the default, moves them in as many parts as it has
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,21 +16,25 @@ import pytest
 
 pytest.importorskip("ovphysx")
 
-from gpusimbench.evaluator.imports.parameters import compare
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.run.import_phase import tried
 from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
-from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.schemas.model_files import pack
 from tests.recorder import engines
-from tests.recorder.mixed_model import MIXED, TOUCHING, drawn, scene_of, stepped
+from tests.recorder.mixed_model import (
+    MIXED,
+    TOUCHING,
+    answer_trials,
+    drawn,
+    hold_parameters,
+    move_by_actuator,
+    reset_alone,
+    scene_of,
+    stepped,
+    world,
+)
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
-
-
-def _world(body: str, rest: str = "", option: str = 'timestep="0.005"') -> str:
-    return f"<mujoco><option {option}/><worldbody>{body}</worldbody>{rest}</mujoco>"
 
 
 _open: list[Simulator] = []
@@ -124,7 +127,7 @@ def test_accelerations(tmp_path: Path) -> None:
             np.testing.assert_allclose(after["joints/qpos"][env], wanted["joints/qpos"][0], atol=3e-6 * (1 + change))
 
 
-CART = _world(
+CART = world(
     '<body name="cart" pos="0 0 1"><joint name="x" type="slide" axis="1 0 0"/><geom type="box" size=".2 .1 .1" mass="2"'
     '/><body name="pole"><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .1 0 .6" size=".04" mass="1"'
     ' contype="0"/><body name="tip" pos=".1 0 .6"><joint name="b" axis="0 1 0"/>'
@@ -169,7 +172,7 @@ def test_energy(tmp_path: Path) -> None:
 
 def test_turns(tmp_path: Path) -> None:
     """Count the turns of a hinge without limits, which PhysX would wrap."""
-    text = _world(
+    text = world(
         '<body name="r" pos="0 0 1"><joint name="spin" axis="0 0 1"/><geom type="capsule" size=".05 .2" mass="1"/>'
         '</body>', '<keyframe><key qvel="30"/></keyframe>', 'gravity="0 0 0" timestep="0.01"',
     )  # fmt: skip
@@ -181,7 +184,7 @@ def test_turns(tmp_path: Path) -> None:
 def test_what_may_touch(tmp_path: Path) -> None:
     """Keep apart what MuJoCo keeps apart, geom by geom, in every environment: masks, and geoms of one body of which
     one falls through a table that holds the other."""
-    physx, wanted = _both(scene_of(_world(TOUCHING), tmp_path), 300, n_env=3)
+    physx, wanted = _both(scene_of(world(TOUCHING), tmp_path), 300, n_env=3)
     heights = physx["bodies/position"][-1, :, :, 2]
     np.testing.assert_allclose(heights, [[0.1, 0.7, 0.45]] * 3, atol=2e-3)
     np.testing.assert_allclose(heights[:2], wanted["bodies/position"][-1, :, :, 2], atol=2e-3)
@@ -190,7 +193,7 @@ def test_what_may_touch(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("condim", "friction"), [(3, 0.5), (1, 0.0)])
 def test_friction(condim: int, friction: float, tmp_path: Path) -> None:
     """Brake a box by the larger of two coefficients, and not at all where no contact of it has friction."""
-    text = _world(
+    text = world(
         f'<geom type="plane" size="9 9 .1" friction=".1" condim="{condim}"/><body name="box" pos="0 0 .1"><freejoint/>'
         f'<geom type="box" size=".2 .2 .1" friction=".5" condim="{condim}"/></body>',
         '<keyframe><key qpos="0 0 .1 1 0 0 0" qvel="2 0 0 0 0 0"/></keyframe>',
@@ -203,7 +206,7 @@ def test_friction(condim: int, friction: float, tmp_path: Path) -> None:
 
 def test_a_pair_of_another_friction(tmp_path: Path) -> None:
     """Name the pair whose friction PhysX's rule does not give."""
-    text = _world(
+    text = world(
         '<geom name="floor" type="plane" size="9 9 .1" condim="3"/><body pos="0 0 1"><freejoint/>'
         '<geom name="a" size=".1" condim="1" friction=".7"/></body>'
         '<body pos="1 0 1"><freejoint/><geom name="b" size=".1" condim="1"/></body>'
@@ -219,7 +222,7 @@ HINGE = '<body name="r"><joint name="j" axis="0 0 1" {0}/><geom type="capsule" s
 def _held(joint: str, actuator: str, control: float, folder: Path) -> ModelScene:
     """A hinge whose actuator, if there is one, is given this control."""
     key = f'<keyframe><key ctrl="{control}"/></keyframe>' if actuator else ""
-    text = _world(
+    text = world(
         HINGE.format(joint),
         f"<actuator>{actuator}</actuator>{key}",
         'gravity="0 0 0" timestep="0.01" integrator="implicitfast"',
@@ -287,84 +290,57 @@ def test_its_states(tmp_path: Path) -> None:
     again = simulator.states(3)
     for a, b in zip(after, again, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-6)
-    before = simulator.state()
-    simulator.reset(np.array([1]))
-    for field, was, now, begun in zip(description.fields, before, simulator.state(), first, strict=True):
-        assert now[[0, 2]].tobytes() == was[[0, 2]].tobytes(), field.name
-        np.testing.assert_allclose(now[1], begun[1], atol=1e-6, err_msg=field.name)
+    reset_alone(simulator, description, first)
 
 
 def test_what_it_holds(tmp_path: Path) -> None:
     """Hold MuJoCo's masses, inertias, limits, springs and friction of joints, as read from the engine; and a model with
     another mass and another limit differs in these two."""
     simulator, _ = _physx(scene_of(MIXED, tmp_path))
-    held = simulator.imported()
-    model = mujoco.MjModel.from_xml_string(MIXED)
-    model.body_mass[0] = 0.0
-    found = [f for kind in compare(of_c(model), held) for f in kind.findings]
-    assert {(f.kind, f.parameter) for f in found} == {("bodies", ""), ("tendons", "")}  # added links, and no tendons
+    found = hold_parameters(simulator.imported())
     assert sum(f.kind == "bodies" for f in found) == 5
-    other = MIXED.replace('mass="2"', 'mass="2.1"').replace("-90 90", "-90 91", 1)
-    changed = compare(of_c(mujoco.MjModel.from_xml_string(other)), held)
-    items = {(f.item, f.parameter) for kind in changed for f in kind.findings if f.parameter}
-    assert {("arm", "mass"), ("leftroll", "range")} <= items
-    assert {item for item, _ in items} == {"arm", "leftroll"}
 
 
 def test_trials(tmp_path: Path) -> None:
     """Answer the trials of gsb-import: poses relative to each environment's origin, and actuators each in one of its
     own."""
-    scene = scene_of(MIXED, tmp_path)
-
-    def make(still: Any, n_env: int) -> Simulator:
-        return engines.make("physx", replace(still), n_env=n_env, threads=1)
-
-    found = tried(scene, make, dt=0.001, seed=0)
-    assert found is not None
-    np.testing.assert_allclose(
-        found.position[:, found.links.index("trunk")], found.given["bodies/position"][:, 0], atol=1e-5
-    )
-    moved = {
-        kind + target: found.velocity["joints/qvel"][-1, i]
-        for i, (kind, target) in enumerate(zip(found.kinds, found.targets, strict=True))
-    }
-    assert np.abs(moved["actuatorm"] - moved["rest"]).max() > 0.01
+    move_by_actuator(answer_trials(scene_of(MIXED, tmp_path), "physx", threads=1))
 
 
 def test_a_spring_of_a_free_joint(tmp_path: Path) -> None:
     """Name it among the deviations: PhysX's free bodies have no springs."""
     free = '<body pos="0 0 1"><joint type="free" stiffness="50"/><geom size=".1"/></body>'
-    simulator, description = engines.build("physx", scene_of(_world(free), tmp_path))
+    simulator, description = engines.build("physx", scene_of(world(free), tmp_path))
     simulator.close()
     found = {deviation.parameter: deviation for deviation in description.deviations}
     assert found["bodies.stiffness"].used == "0"
 
 
 REFUSED = {
-    "ball joint 'shoulder'": _world('<body><joint name="shoulder" type="ball"/><geom size=".1"/></body>'),
-    "ellipsoid 'egg', which collides": _world(
+    "ball joint 'shoulder'": world('<body><joint name="shoulder" type="ball"/><geom size=".1"/></body>'),
+    "ellipsoid 'egg', which collides": world(
         '<body><joint/><geom name="egg" type="ellipsoid" size=".1 .1 .2"/></body>'
     ),
-    "constraint of equality 'loop'": _world(
+    "constraint of equality 'loop'": world(
         '<body name="r"><joint/><geom size=".1"/></body>',
         '<equality><connect name="loop" body1="r" anchor="0 0 0"/></equality>',
     ),
-    "tendon 'rope', which has stiffness": _world(
+    "tendon 'rope', which has stiffness": world(
         '<body><joint name="j"/><geom size=".1"/></body>',
         '<tendon><fixed name="rope" stiffness="3"><joint joint="j" coef="1"/></fixed></tendon>',
     ),
-    "actuator 'muscle'": _world(
+    "actuator 'muscle'": world(
         '<body><joint name="j"/><geom size=".1"/></body>',
         '<actuator><muscle name="muscle" joint="j" lengthrange="0 1"/></actuator>',
     ),
-    "contact pair 0": _world(
+    "contact pair 0": world(
         '<geom name="f" type="plane" size="1 1 1"/><body><joint/><geom name="g" size=".1"/></body>',
         '<contact><pair geom1="f" geom2="g"/></contact>',
     ),
-    "plane 'slope', which is not level": _world(
+    "plane 'slope', which is not level": world(
         '<geom name="slope" type="plane" size="1 1 1" euler="0 10 0"/><body><joint/><geom size=".1"/></body>'
     ),
-    "servo of joint 'j'": _world(
+    "servo of joint 'j'": world(
         '<body><joint name="j" damping="1"/><geom size=".1"/></body>',
         '<actuator><position joint="j" kp="1" forcerange="-1 1"/></actuator>',
     ),
@@ -387,20 +363,20 @@ def test_the_walker() -> None:
 
 
 NAMED = {
-    "model.density": _world('<body><joint/><geom size=".1"/></body>', option='density="3"'),
-    "joints.limit_solref": _world('<body><joint range="-9 9"/><geom size=".1"/></body>'),
-    "joints.solreffriction": _world('<body><joint frictionloss="1"/><geom size=".1"/></body>'),
-    "bodies.added": _world('<body><joint/><joint axis="0 1 0"/><geom size=".1"/></body>'),
-    "bodies.damping": _world('<body><joint type="free" damping="1"/><geom size=".1"/></body>'),
-    "bodies.gravity_compensation": _world('<body gravcomp=".5"><joint/><geom size=".1"/></body>'),
-    "contact.condim": _world('<geom type="plane" size="1 1 1"/><body><freejoint/><geom size=".1" condim="6"/></body>'),
-    "geoms.margin": _world('<geom type="plane" size="1 1 1"/><body><freejoint/><geom size=".1" margin=".1"/></body>'),
-    "bodies.massless": _world('<body><joint/><geom size=".1"/><body><geom size=".1" mass="0"/></body></body>'),
-    "contact.pairs": _world(
+    "model.density": world('<body><joint/><geom size=".1"/></body>', option='density="3"'),
+    "joints.limit_solref": world('<body><joint range="-9 9"/><geom size=".1"/></body>'),
+    "joints.solreffriction": world('<body><joint frictionloss="1"/><geom size=".1"/></body>'),
+    "bodies.added": world('<body><joint/><joint axis="0 1 0"/><geom size=".1"/></body>'),
+    "bodies.damping": world('<body><joint type="free" damping="1"/><geom size=".1"/></body>'),
+    "bodies.gravity_compensation": world('<body gravcomp=".5"><joint/><geom size=".1"/></body>'),
+    "contact.condim": world('<geom type="plane" size="1 1 1"/><body><freejoint/><geom size=".1" condim="6"/></body>'),
+    "geoms.margin": world('<geom type="plane" size="1 1 1"/><body><freejoint/><geom size=".1" margin=".1"/></body>'),
+    "bodies.massless": world('<body><joint/><geom size=".1"/><body><geom size=".1" mass="0"/></body></body>'),
+    "contact.pairs": world(
         '<body><joint/><geom size=".1"/><body><joint/><geom size=".1"/></body></body>',
         option='timestep="0.01"><flag filterparent="disable"/></option><option',
     ),
-    "option.disableflags": _world(
+    "option.disableflags": world(
         '<body><joint/><geom size=".1"/></body>', option='timestep="0.01"><flag spring="disable"/></option><option'
     ),
 }  # fmt: skip
@@ -418,7 +394,7 @@ def test_what_it_has_otherwise(parameter: str, tmp_path: Path) -> None:
 def test_gravity_that_is_compensated(tmp_path: Path) -> None:
     """Leave a body alone whose gravity the model compensates, and let the other fall."""
     body = '<body name="{0}" pos="{1} 0 1" gravcomp="{2}"><freejoint/><geom size=".1"/></body>'
-    text = _world(body.format("floats", 0, 1) + body.format("falls", 1, 0))
+    text = world(body.format("floats", 0, 1) + body.format("falls", 1, 0))
     physx, wanted = _both(scene_of(text, tmp_path), 50)
     np.testing.assert_allclose(physx["bodies/position"], wanted["bodies/position"], atol=2e-2)
     assert physx["bodies/position"][-1, 0, 0, 2] == pytest.approx(1, abs=1e-4)

@@ -41,11 +41,11 @@ def power_ticks(low: float, high: float, *, at_most: int = 8) -> list[int]:
     return [2**e for e in exponents[:: max(1, -(-len(exponents) // at_most))]]
 
 
-def index_ticks(count: int, *, at_most: int = 8) -> list[int]:
+def index_ticks(count: int) -> list[int]:
     """Indices from 0 to count - 1 at a round distance."""
     if count < 3:
         return list(range(count))
-    distance = max(1, round(ticks(0, count, at_most=at_most)[1]))
+    distance = max(1, round(ticks(0, count, at_most=8)[1]))
     return list(range(0, count, distance))
 
 

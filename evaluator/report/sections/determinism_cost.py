@@ -27,6 +27,7 @@ from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.text import cut
 
 SAME = "cannot be told apart from 1"
 
@@ -75,7 +76,7 @@ def _table(source: Source, families: Sequence[Family], results: Sequence[GroupRe
 
 def _differs(result: GroupResult, price: Price | None) -> Iterator[str]:
     """What the level sets, and what was timed."""
-    yield from (words.shortened(one, 120) for one in price.differs) if price else ("the default",)
+    yield from (cut(one, 120) for one in price.differs) if price else ("the default",)
     yield from (f"{column.title}: {text}" for column in timed.ALL if (text := column.cell(result.timed)) != NONE)
 
 

@@ -269,10 +269,10 @@ def _tree(result: GroupResult, of: str, key: str) -> Figure | None:
         for b in tree.branches
     ]  # fmt: skip
     about = f"{_about(result)}, which left which"
-    return Figure(label, _tree_said(tree, of, dt), Markup(svg), key, Numbers(_BRANCHES, rows), about)
+    return Figure(label, _tree_said(tree, dt), Markup(svg), key, Numbers(_BRANCHES, rows), about)
 
 
-def _tree_said(tree: SplitTree, of: str, dt: float) -> str:
+def _tree_said(tree: SplitTree, dt: float) -> str:
     first, last = tree.branches[1].step, tree.branches[-1].step
     begin, end = window(tree)
     when = f"at step {first}" if first == last else f"between steps {first} and {last}"

@@ -22,7 +22,7 @@ def section(source: Source) -> Section | None:
         if r.failing is not None and r.failing.failures
     ]
     if found:
-        blocks.append(failing_table("failing", found))
+        blocks.append(failing_table(found))
     failed = sum(bool(run.failing and run.failing.total) for run in runs)
     title = f"environments failed in {failed} of {plural(len(runs), 'run')} that kept failing environments alone"
     return Section("failing", "Environments that failed", tuple(blocks), title, folded=False)

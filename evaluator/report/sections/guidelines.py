@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from gpusimbench.evaluator.metrics.guidelines import Guideline
 from gpusimbench.evaluator.render.document import Cell, Section, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.schemas.text import few
 
@@ -24,13 +23,11 @@ def section(source: Source) -> Section | None:
     found = source.evaluation.comparison.guidelines
     if not found:
         return None
-    reasons = Reasons()
     shown = table(
         "guidelines",
         "The best simulator for each need",
         ["need, and the rule", "recommended, and the next best", "best first", "not recommended"],
-        [(_need(one), _pick(one), _ranking(one), _others(one, reasons)) for one in found],
-        reasons.legend,
+        [(_need(one), _pick(one), _ranking(one), _others(one)) for one in found],
     )
     picked = sum(bool(one.pick) for one in found)
     said = f"a simulator is named for {picked or 'none'} of {plural(len(found), 'need')}"
@@ -57,12 +54,12 @@ def _ranking(one: Guideline) -> Cell:
     return Cell(first, notes=tuple(others))
 
 
-def _others(one: Guideline, reasons: Reasons) -> Cell:
-    first, *others = (*_not_picked(one, reasons), "-")
+def _others(one: Guideline) -> Cell:
+    first, *others = (*_not_picked(one), "-")
     return Cell(first, notes=tuple(others[:-1]), tone=Tone.QUIET)
 
 
-def _not_picked(one: Guideline, reasons: Reasons) -> Iterator[str]:
+def _not_picked(one: Guideline) -> Iterator[str]:
     yield from (f"qualifies too, not ranked: {said}" for said in one.unranked)
     for title, names in (("do not qualify", one.disqualified), ("lack a figure", one.unmeasured)):
         if names:

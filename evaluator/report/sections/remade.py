@@ -37,6 +37,7 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.published import AtLargest, Variability
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey
+from gpusimbench.schemas.text import cut
 
 _SPEED = {"free-fall": 1e4, "franka": 1e6}
 _EXPONENT = {"free-fall": 4, "franka": 6}
@@ -119,9 +120,9 @@ def _at_max(row: remade.Capability, at: remade.AtMax, scene: str) -> Row:
     key = row.key
     held = {"simulator": key.simulator, "scene": scene, "device": key.device or "none", "level": key.determinism}
     if at.n_max is None:
-        return Row((name, EMPTY, EMPTY, EMPTY, Cell(at.limit.value, notes=(words.shortened(at.ends, 110),))), held)
+        return Row((name, EMPTY, EMPTY, EMPTY, Cell(at.limit.value, notes=(cut(at.ends, 110),))), held)
     counted = "contacts were not counted" if at.contacts is None else f"{words.count(at.contacts)} contacts per env"
-    notes = [*([words.shortened(at.ends, 110)] if at.sweep.limited else []), *([str(at.faults)] if at.faults else [])]
+    notes = [*([cut(at.ends, 110)] if at.sweep.limited else []), *([str(at.faults)] if at.faults else [])]
     notes += [counted, *(timed.beside(at.timed) if at.timed else [])]
     limit = Cell(at.limit.value, notes=tuple(notes), tone=Tone.BAD if at.faults else Tone.PLAIN)
     fps = _scaled(at.fps, 1 / _SPEED[scene], 3)

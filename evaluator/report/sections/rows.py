@@ -112,12 +112,12 @@ def footnotes_below(source: Source, results: Iterable[GroupResult]) -> tuple[Ite
     return (Items((Item("Footnotes", items=tuple(map(Item, lines))),)),) if lines else ()
 
 
-def with_lines(figures: Iterable[Figure], least: float = 20.0) -> tuple[Gallery | Items, ...]:
+def with_lines(figures: Iterable[Figure]) -> tuple[Gallery | Items, ...]:
     """Figures that have a drawing in a grid, and below it what is said in place of the others, each sentence once."""
     found = list(figures)
     drawn = tuple(one for one in found if one.svg)
     lines = lines_of([(one.caption, one.label) for one in found if not one.svg])
-    return (*([Gallery(drawn, least)] if drawn else []), *([lines] if lines else []))
+    return (*([Gallery(drawn, least=20.0)] if drawn else []), *([lines] if lines else []))
 
 
 def lines_of(said: Sequence[tuple[str, str]]) -> Items | None:

@@ -71,7 +71,7 @@ def section(source: Source) -> Section | None:
     of_others = [column_of(m, others) if m not in (LEFT_BOARD, SANK) else _cubes(m, others) for m in rest]
     of_bits += [(Column(m.titled, m.method), _distance(m, bits)) for m in distances]
     more = (
-        ("distances", _DISTANCES, [*_apart(distances, apart)], apart, _LEGEND),
+        ("distances", _DISTANCES, [*_apart(distances)], apart, _LEGEND),
         ("joints", _JOINTS, [column_of(metric, joints) for metric in JOINT_METRICS], joints, _JOINTS_LEGEND),
         ("others", _OTHERS, of_others, others, ()),
     )
@@ -145,7 +145,7 @@ def types_of(results: Sequence[GroupResult]) -> Iterator[str]:
     yield from (f"type {number}: {REGIME_MEANING[number]}" for number in sorted(found & REGIME_MEANING.keys()))
 
 
-def _apart(distances: list[Metric], reasons: Reasons) -> Iterator[tuple[Column, Written]]:
+def _apart(distances: list[Metric]) -> Iterator[tuple[Column, Written]]:
     for metric in distances:
         yield Column(f"clamped {metric.title} [{metric.unit}]"), _clamped(metric)
         if metric is not W1_PARALLEL:

@@ -38,6 +38,7 @@ from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.citation import Publication, quoted
 from gpusimbench.evaluator.share.dataset.contents import LookedAt, runs_of
 from gpusimbench.evaluator.share.dataset.licences import HUB_NAMES
+from gpusimbench.schemas.text import cut
 
 CARD = "README.md"
 
@@ -122,7 +123,7 @@ def card_document(
         facts(("Content of all recordings", Cell(f"sha256:{identity}", code=True))),
     ]
     if wrong := problems(looked_at):
-        rows = [(one.name, one.what, words.shortened(one.why, _LONGEST_REASON)) for one in wrong]
+        rows = [(one.name, one.what, cut(one.why, _LONGEST_REASON)) for one in wrong]
         said = Text("No metric is computed from these recordings, or from what they lost.")
         blocks.append(
             Section("problems", "Problems", (said, table("problem-files", "", ("file", "what", "why"), rows)))
@@ -255,8 +256,7 @@ def _gpus(summary: Run) -> str:
 def _commands(held: Sequence[Run]) -> tuple[list[str], str]:
     found = Counter(shlex.join(one.provenance.argv) for one in held if one.provenance.argv)
     lines = [
-        f"{command if len(command) <= _LONGEST_COMMAND else command[: _LONGEST_COMMAND - 3] + '...'}   # {count} x"
-        for command, count in sorted(found.items())[:_MOST_COMMANDS]
+        f"{cut(command, _LONGEST_COMMAND)}   # {count} x" for command, count in sorted(found.items())[:_MOST_COMMANDS]
     ]
     left = len(found) - _MOST_COMMANDS
     return lines, f", the first {_MOST_COMMANDS} of {len(found)}" if left > 0 else ""

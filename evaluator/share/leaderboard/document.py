@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from typing import Any
 
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.missing import known
+from gpusimbench.evaluator.render.csv import Cell, to_csv
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.evidence_json import estimate_record
 from gpusimbench.evaluator.results.details import Throughput
@@ -16,7 +15,6 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.share.leaderboard import words
 from gpusimbench.evaluator.share.leaderboard.standing import Board, Row, Section
 from gpusimbench.schemas import __version__
-from gpusimbench.schemas.text import line
 
 SCHEMA_VERSION = 1
 KIND = "gpusimbench leaderboard"
@@ -28,8 +26,6 @@ COLUMNS = (
     "type", "check", "reproduced", "replays", "gates", "no_place", "content_hashes",
     *(column.title for column in timed.ALL),
 )  # fmt: skip
-
-_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def dump_json(board: Board) -> str:
@@ -95,16 +91,10 @@ def _metric(metric: Estimate) -> dict[str, Any]:
 
 def dump_csv(board: Board) -> str:
     """A line for each row, with the names of the columns first."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for section in board.sections:
-        for row in section.rows:
-            writer.writerow([_cell(value) for value in _values(section, row)])
-    return stream.getvalue()
+    return to_csv(COLUMNS, (_values(section, row) for section in board.sections for row in section.rows))
 
 
-def _values(section: Section, row: Row) -> tuple[Any, ...]:
+def _values(section: Section, row: Row) -> tuple[Cell, ...]:
     key, metrics = row.key, row.result.metrics
     low, high = row.fps.ci95 or (None, None)
     return (
@@ -117,11 +107,3 @@ def _values(section: Section, row: Row) -> tuple[Any, ...]:
         "; ".join(row.gates), row.no_place, " ".join(entry.content_hash for entry in row.entries),
         *timed.cells(timed.ALL, row.result.timed),
     )  # fmt: skip
-
-
-def _cell(value: Any) -> Any:
-    """A text that no spreadsheet takes for a formula; numbers as they are."""
-    if not isinstance(value, str):
-        return "" if value is None else value
-    shown = line(value)
-    return f"'{shown}" if shown.startswith(_FORMULA) else shown

@@ -25,13 +25,14 @@ from gpusimbench.evaluator.render.document import Section as Part
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.verdicts import QUESTIONS
-from gpusimbench.evaluator.report.words import amount, shared, shortened
+from gpusimbench.evaluator.report.words import amount, shared
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.share.leaderboard import words
 from gpusimbench.evaluator.share.leaderboard.standing import ELSEWHERE, Board, Section
 from gpusimbench.evaluator.share.leaderboard.standing import Row as Standing
+from gpusimbench.schemas.text import cut
 
 _LEAD = (
     "Computed from {}, and from nothing else: no figure here was typed in. Each row names its recordings by content "
@@ -112,7 +113,7 @@ def _barred(section: Section) -> Cell:
 def _in_short(no_place: str) -> str:
     """What kind of reason it is; the whole of it stands in the table of rows without a place."""
     kind, _, rest = no_place.partition(": ")
-    return shortened(f"elsewhere {rest.partition('; ')[0]}" if kind == ELSEWHERE else kind, _REASON)
+    return cut(f"elsewhere {rest.partition('; ')[0]}" if kind == ELSEWHERE else kind, _REASON)
 
 
 def _is_fault(row: Standing) -> bool:

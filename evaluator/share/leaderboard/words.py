@@ -11,7 +11,6 @@ from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
 from gpusimbench.evaluator.render.cells import ranked
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.report import words as report_words
 from gpusimbench.evaluator.share.dataset.contents import BROKEN
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
 from gpusimbench.evaluator.share.leaderboard.standing import Board, Row
@@ -53,7 +52,7 @@ def n_env_max(row: Row) -> tuple[str, str]:
         return "", ""
     beyond = next((point for point in sweep.points if point.n_env > sweep.n_max), None)
     why = f"{', '.join(beyond.causes)} at {beyond.n_env:,}" if beyond else sweep.ends
-    return f"{sweep.n_max:,}", report_words.shortened(why, _LONGEST)
+    return f"{sweep.n_max:,}", cut(why, _LONGEST)
 
 
 def checked(row: Row) -> str:

@@ -34,6 +34,7 @@ class Brax(JaxSimulator):
     """
 
     Options = BraxOptions
+    distribution = "brax"
     abilities = BODIES  # its solvers have no position actuators with a scene's force limits
 
     def _load(self, device: Any) -> tuple[Physics, Description]:

@@ -86,7 +86,7 @@ def _axes(orientation: Quaternion) -> NDArray[np.float64]:
     )
 
 
-def deviations(scene: Scene, contacts: bool) -> tuple[Deviation, ...]:
+def deviations(contacts: bool) -> tuple[Deviation, ...]:
     """What an instrument makes of the scene."""
     simple = "an instrument needs contacts that amplify, not true ones"
     found = [

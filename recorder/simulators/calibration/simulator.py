@@ -34,6 +34,7 @@ class Calibration(Simulator):
     """N environments of spheres whose differences are built in."""
 
     Options = CalibrationOptions
+    distribution = "taichi"
     abilities = BODIES - {Ability.CAPSULES}
 
     @classmethod
@@ -75,7 +76,7 @@ class Calibration(Simulator):
                 "substeps": self._world.substeps,
                 "sums": "racing atomic additions" if options.regime == "atomics" else "one thread an environment",
             },
-            deviations=deviations(self.scene, options.contacts),
+            deviations=deviations(options.contacts),
             fields=tuple(
                 body_field(group, name, "float32", bodies)
                 for group, bodies in self.scene.groups().items()

@@ -24,7 +24,7 @@ from gpusimbench.recorder.simulators.genesis.controls import Controls
 from gpusimbench.recorder.simulators.genesis.environments import Drive, Environments, empty_scene, on_device
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.genesis.sizes import Sizes
-from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, collides, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.fields import StateField
@@ -162,11 +162,6 @@ def build_model(
     made.add_entity(morph, material=genesis.materials.Rigid())
     made.build(n_envs=n_env)
     return ModelEnvironments(made, compiled, _matched(made.rigid_solver, model), Controls(model))
-
-
-def collides(model: Any, geom: int) -> bool:
-    """Whether MuJoCo lets a geom touch anything by its masks; Genesis is given no others."""
-    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
 def _morph(genesis: Any, model: Any) -> Any:

@@ -9,10 +9,11 @@ import mujoco
 import numpy as np
 
 from gpusimbench.recorder.scenes.model.contents import choices, solver_options
-from gpusimbench.recorder.simulators.genesis.imported import ModelEnvironments, collides
+from gpusimbench.recorder.simulators.genesis.imported import ModelEnvironments
 from gpusimbench.recorder.simulators.genesis.made import UNREAD, touching
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
+from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.newton.made import colliding_bodies, different
 from gpusimbench.schemas.imported import PARAMETERS, Imported
 from gpusimbench.schemas.provenance import Deviation

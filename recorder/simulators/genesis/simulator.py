@@ -19,13 +19,15 @@ from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
-from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.captured import Captured, gathered
+from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.recorder.simulators.captured import Captured
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.genesis import runtime
 from gpusimbench.recorder.simulators.genesis.deviations import deviations
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.genesis.transfer import TorchSlots
+from gpusimbench.recorder.simulators.slots import Slot, Slots
+from gpusimbench.recorder.simulators.slotted import Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
@@ -50,10 +52,11 @@ _SOLVER_OPTIONS = (
 )  # fmt: skip
 
 
-class Genesis(Simulator):
+class Genesis(Slotted):
     """N environments on Genesis."""
 
     Options = GenesisOptions
+    distribution = "genesis-world"
     abilities = BODIES - {Ability.CAPSULES} | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS}
     timing_interval = 10  # Genesis itself waits for the device at every tenth substep, to look at its error codes
     blocks_ahead = 2
@@ -102,8 +105,6 @@ class Genesis(Simulator):
         self._given = False  # whether states were given that a reset does not bring back
         self._rows = Rows(self._model, self._watch)
         self._last = self._rows.tensors(1)
-        self._slots: TorchSlots | None = None
-        self._counted: Evidence | None = None
         self._drives: Sequence[Any] = ()
         self._next_drive = 0
         return Description(
@@ -266,28 +267,16 @@ class Genesis(Simulator):
         # a copy, also where the device is the host
         return np.array(self._last[name].cpu().numpy())
 
-    def states(self, n_step: int) -> States:
-        """See Simulator.states."""
-        self.reserve(n_step)
-        assert self._slots is not None
-        states, self._counted = gathered(self.begin_states, n_step, self._slots.rows)
-        return states
-
-    def begin_states(self, n_step: int) -> Captured:
-        """See Simulator.begin_states: Genesis looks at its error codes at every tenth substep, and waits then."""
+    def _fill(self, slots: Slots, slot: Slot, n_step: int) -> Captured:
+        """See Slotted: Genesis looks at its error codes at every tenth substep, and waits then."""
         from gpusimbench.recorder.simulators.genesis.ring import GenesisBlock
 
-        self.reserve(n_step)
-        assert self._slots is not None
-        if n_step > self._slots.rows:
-            return super().begin_states(n_step)
-        slot = self._slots.take()
         for row in range(n_step):
             self._advance()
             self._rows.store_state(slot.arrays, row)
             self._rows.store_evidence(slot.arrays, row)
         slot.begin_copy(n_step)
-        return GenesisBlock(self._slots, slot, n_step, self._rows)
+        return GenesisBlock(slots, slot, n_step, self._rows)
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.recorder.simulators.isaaclab.world import World
 from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots
+
+if TYPE_CHECKING:  # it imports MuJoCo
+    from gpusimbench.recorder.simulators.isaaclab.world import World
 
 STATES = ("positions", "velocities")
 """The arrays of a slot, in the order of World.state."""

@@ -20,12 +20,14 @@ from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
-from gpusimbench.recorder.simulators.base import Description, Simulator
-from gpusimbench.recorder.simulators.captured import Captured, States, gathered
+from gpusimbench.recorder.simulators.base import Description
+from gpusimbench.recorder.simulators.captured import Captured, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.block import STATES, IsaacLabBlock
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS
+from gpusimbench.recorder.simulators.slots import Slot, Slots
+from gpusimbench.recorder.simulators.slotted import Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
@@ -56,10 +58,11 @@ _CLAIMS = {
 """By backend; of what runs within Isaac Sim nothing is known."""
 
 
-class IsaacLab(Simulator):
+class IsaacLab(Slotted):
     """N environments of an InteractiveScene."""
 
     Options = IsaacLabOptions
+    distribution = "isaaclab"
     abilities = BODIES - {Ability.TILTED_PLANES} | {Ability.MODELS}  # environments beside each other share a plane
     blocks_ahead = 2
     timing_interval = 10  # Newton's steps are queued; synchronising after each would be charged to it
@@ -107,8 +110,6 @@ class IsaacLab(Simulator):
         self._device = warp_runtime.start(options.device)
         _without_pinned_memory()
         self._stepped = True  # what the last step showed has still to be asked for
-        self._counted: Evidence | None = None
-        self._slots: WarpSlots | None = None
         self._compiled = False
         self._model: Any = None  # of a model file
         if isinstance(self.scene, ModelScene):
@@ -287,23 +288,10 @@ class IsaacLab(Simulator):
         poses, speeds = self._world.state()
         return tuple(array[0] for array in self._world.split(poses[None].cpu().numpy(), speeds[None].cpu().numpy()))
 
-    def states(self, n_step: int) -> States:
-        """See Simulator.states."""
-        self.reserve(n_step)
-        assert self._slots is not None
-        states, self._counted = gathered(self.begin_states, n_step, self._slots.rows)
-        return states
-
-    def begin_states(self, n_step: int) -> Captured:
-        """See Simulator.begin_states."""
-        self.compile("capture")
-        self.reserve(n_step)
-        assert self._slots is not None
-        if n_step > self._slots.rows:
-            return super().begin_states(n_step)
+    def _fill(self, slots: Slots, slot: Slot, n_step: int) -> Captured:
         import warp as wp
 
-        slot = self._slots.take()
+        self.compile("capture")
         kept = [wp.to_torch(slot.arrays[name]) for name in STATES]
         self._physics.rewind()
         for row in range(n_step):
@@ -315,7 +303,7 @@ class IsaacLab(Simulator):
         slot.begin_copy(n_step)
         self._made += n_step
         self._counted, self._stepped = self._physics.evidence(n_step), False
-        return IsaacLabBlock(self._slots, slot, n_step, self._world, self._counted)
+        return IsaacLabBlock(slots, slot, n_step, self._world, self._counted)
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:

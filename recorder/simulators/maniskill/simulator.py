@@ -21,6 +21,7 @@ class ManiSkill(SapienStepper):
     """N environments of a mani_skill.envs.sapien_env.BaseEnv."""
 
     Options = ManiSkillOptions
+    distribution = "mani_skill"
     abilities = BODIES
 
     def make(self, complaints: Complaints) -> Made:

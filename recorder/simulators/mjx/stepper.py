@@ -24,14 +24,12 @@ if TYPE_CHECKING:  # it imports MuJoCo
 class MjxSimulator(JaxSimulator):
     """N environments stepped by MJX. A subclass says how (``_physics_of``).
 
-    name          of the simulator
-    distribution  whose version it is
-    covers        what one timed call runs
+    name    of the simulator
+    covers  what one timed call runs
     """
 
     abilities = BODIES | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS}
     name: ClassVar[str]
-    distribution: ClassVar[str]
     covers: ClassVar[str]
 
     def _load(self, device: Any) -> tuple[Physics, Description]:

@@ -127,6 +127,11 @@ class MjcfModel:
         return found
 
 
+def collides(model: Any, geom: int) -> bool:
+    """Whether MuJoCo lets a geom touch anything by its masks."""
+    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+
+
 def compile_scene(
     scene: Scene, *, dt: float, options: MjcfOptions, numerics: dict[str, str] | None = None
 ) -> MjcfModel:

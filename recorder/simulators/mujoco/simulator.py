@@ -47,6 +47,7 @@ class MujocoC(Simulator):
     """N environments on MuJoCo C."""
 
     Options = MujocoOptions
+    distribution = "mujoco"
     abilities = BODIES | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS, *VARIED.values()}
     across_releases = {"stepping": "mj_step"}
 

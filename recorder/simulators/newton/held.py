@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
+from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.newton.imported import Imported as Places
 from gpusimbench.recorder.simulators.newton.made import UNREAD, as_newton_has_it, colliding_bodies
 from gpusimbench.recorder.simulators.warp import worlds
@@ -52,7 +53,7 @@ def _of_solver(solver: Any, places: Places, model: Any) -> Imported:
         "joints": [_listed(names["joints"], joint, "joint of Newton's") for joint in joints],
     }
     named["geoms"] = [_geom(made, geom, at, model, names["geoms"]) for geom in range(made.ngeom)]
-    named["actuators"] = _actuators(made, model, names["actuators"])
+    named["actuators"] = _actuators(made, names["actuators"])
     found = of_mujoco.imported(made, worlds.reader(solver.mjw_model), "SolverMuJoCo", named)
     equalities = tuple(_constraint(found, number, reference) for number in range(len(found.names["equalities"])))
     unread = dict(found.unread)
@@ -148,7 +149,7 @@ def _geom(made: Any, geom: int, at: NDArray[np.int64], model: Any, names: Sequen
     # SolverMuJoCo calls a geom by its label in Newton, a path that ends with its name or number in its body
     body = int(at[made.geom_bodyid[geom]])
     own = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
-    collide = [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
+    collide = [g for g in own if collides(model, g)]
     if int((made.geom_bodyid == made.geom_bodyid[geom]).sum()) == len(collide):
         own = collide  # SolverMuJoCo has no others
     last = re.sub(r"_\d+$", "", str(made.geom(geom).name).rpartition("/")[2])
@@ -169,7 +170,7 @@ def _constraint(found: Imported, number: int, reference: Imported) -> str:
     return found.names["equalities"][number]
 
 
-def _actuators(made: Any, model: Any, names: Sequence[str]) -> list[str]:
+def _actuators(made: Any, names: Sequence[str]) -> list[str]:
     # they have no names in Newton: their order is MuJoCo's, as far as their number is
     numbers = range(len(made.actuator_trntype))
     return [_listed(names, number, f"actuator{number} of Newton's") for number in numbers]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.model.contents import choices, solver_options
+from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.text import few
@@ -334,10 +335,7 @@ def _target(model: Any, at_qd: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _colliding(model: Any, body: int) -> list[int]:
-    return [
-        g for g in range(model.ngeom)
-        if model.geom_bodyid[g] == body and (model.geom_contype[g] or model.geom_conaffinity[g])
-    ]  # fmt: skip
+    return [g for g in range(model.ngeom) if model.geom_bodyid[g] == body and collides(model, g)]
 
 
 def _by_size(model: Any, geoms: list[int]) -> list[int]:

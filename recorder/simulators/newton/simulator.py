@@ -22,12 +22,14 @@ from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
-from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.captured import Captured, gathered
+from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.recorder.simulators.captured import Captured
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions, replacement
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, MUJOCO_SOLVERS, NewtonOptions
 from gpusimbench.recorder.simulators.newton.steps import BLOCK, Steps
+from gpusimbench.recorder.simulators.slots import Slot, Slots
+from gpusimbench.recorder.simulators.slotted import Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
@@ -50,10 +52,11 @@ _HIDDEN = {
 """By solver, what decides the next step and cannot be saved."""
 
 
-class Newton(Simulator):
+class Newton(Slotted):
     """N environments, the worlds of one newton.Model, all at the same place."""
 
     Options = NewtonOptions
+    distribution = "newton"
     abilities = BODIES | {Ability.MODELS}
     timing_interval = BLOCK
     draws_actions = True
@@ -116,12 +119,10 @@ class Newton(Simulator):
         self._watch = Watch(self._worlds, options, self._sizes)
         self._last_counts = _allocated(evidence_shapes(self._watch, self.n_env, 1))  # for what is asked after `step`
         self._last_step = Ring(self._worlds, self._watch, self._last_counts)
-        self._slots: WarpSlots | None = None
         self._ring: Any = None
         self._timed: Steps | None = None
         self._storing: Steps | None = None  # those that fill rows of slots
         self._kernels_built = False
-        self._counted: Evidence | None = None
         self._made = 0  # steps since the build
         self._first = self._worlds.kept()
         pipeline = self._worlds.pipeline
@@ -337,28 +338,16 @@ class Newton(Simulator):
             raise NotImplementedError
         given.ctrl.assign(controls.astype(np.float32).ravel())
 
-    def begin_states(self, n_step: int) -> Captured:
-        """See Simulator.begin_states."""
+    def _fill(self, slots: Slots, slot: Slot, n_step: int) -> Captured:
         from gpusimbench.recorder.simulators.newton.block import NewtonBlock
 
-        self.reserve(n_step)
-        assert self._slots is not None and self._storing is not None
-        if n_step > self._slots.rows:
-            return super().begin_states(n_step)
-        slot = self._slots.take()
+        assert self._storing is not None
         self._ring.go_to(slot.first)
         self._made += n_step
         self._counted = None
         self._storing.enqueue(n_step)
         slot.begin_copy(n_step)
-        return NewtonBlock(self._slots, slot, n_step, self.n_env, self._world.layout, self._watch.counters)
-
-    def states(self, n_step: int) -> States:
-        """See Simulator.states."""
-        self.reserve(n_step)
-        assert self._slots is not None
-        states, self._counted = gathered(self.begin_states, n_step, self._slots.rows)
-        return states
+        return NewtonBlock(slots, slot, n_step, self.n_env, self._world.layout, self._watch.counters)
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence."""

@@ -8,7 +8,8 @@ from typing import Any
 
 import mujoco
 
-from gpusimbench.recorder.simulators.physx.trees import Plan, collides
+from gpusimbench.recorder.simulators.mujoco.model import collides
+from gpusimbench.recorder.simulators.physx.trees import Plan
 
 
 @dataclass(frozen=True)

@@ -23,12 +23,14 @@ from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.scenes.model.scene import ModelScene
-from gpusimbench.recorder.simulators.base import Description, Simulator
-from gpusimbench.recorder.simulators.captured import Captured, States, gathered
+from gpusimbench.recorder.simulators.base import Description
+from gpusimbench.recorder.simulators.captured import Captured, States
 from gpusimbench.recorder.simulators.physx import grid
 from gpusimbench.recorder.simulators.physx.block import PhysxBlock
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS, OF_THE_GPU, PhysxOptions, apis, broad_phase
+from gpusimbench.recorder.simulators.slots import Slot, Slots
+from gpusimbench.recorder.simulators.slotted import Slotted
 from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
@@ -40,10 +42,11 @@ _BLOCK_ROWS = 50
 _BLOCK_BYTES = 128 << 20
 
 
-class Physx(Simulator):
+class Physx(Slotted):
     """N environments in one PhysX scene."""
 
     Options = PhysxOptions
+    distribution = "ovphysx"
     abilities = BODIES | ROBOTS - {Ability.ROBOT_AMONG_BODIES} | {Ability.MODELS}
     blocks_ahead = 2
     determinism_levels = {
@@ -115,7 +118,6 @@ class Physx(Simulator):
             self._arms = self._model.articulations(session, n_env=self.n_env, origins=origins, device=device)
         self._source: Any = self._arms or bodies.Bodies(session, self.scene, n_env=self.n_env, device=device)
         self._last = wp.empty((1, *self._source.row_shape), dtype=wp.float32, device=device)
-        self._slots: WarpSlots | None = None
         if gpu and self._arms is None:
             if self._source.store(self._last, 0):
                 raise GsbError("PhysX did not take the GPU: its states are on the host; its messages say why")
@@ -230,26 +232,14 @@ class Physx(Simulator):
         self._source.store(self._last, 0)
         return tuple(array[0].copy() for array in self._source.split(self._last.numpy()))
 
-    def begin_states(self, n_step: int) -> Captured:
-        """See Simulator.begin_states: PhysX returns when a step is done, and the copy of the block goes on."""
+    def _fill(self, slots: Slots, slot: Slot, n_step: int) -> Captured:
+        """See Slotted: PhysX returns when a step is done, and the copy of the block goes on."""
         self.compile("capture")
-        self.reserve(n_step)
-        assert self._slots is not None
-        if n_step > self._slots.rows:
-            return super().begin_states(n_step)
-        slot = self._slots.take()
         for row in range(n_step):
             self._advance(1)
             self._source.store_step(slot.arrays["states"], row)
         slot.begin_copy(n_step)
-        return PhysxBlock(self._slots, slot, n_step, self._source)
-
-    def states(self, n_step: int) -> States:
-        """See Simulator.states."""
-        self.reserve(n_step)
-        assert self._slots is not None
-        states, _ = gathered(self.begin_states, n_step, self._slots.rows)
-        return states
+        return PhysxBlock(slots, slot, n_step, self._source)
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:

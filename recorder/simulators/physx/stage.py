@@ -28,9 +28,10 @@ from gpusimbench.recorder.scenes.emit.usd import (
     stage_text,
     tuple_text,
 )
+from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.physx.contacts import apart, frictions
 from gpusimbench.recorder.simulators.physx.servos import Servo
-from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Link, Plan, Tree, collides, joint_frame
+from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Link, Plan, Tree, joint_frame
 
 SHARED = "/World/shared"
 FAR = 1e6

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.emit.usd import identifiers
+from gpusimbench.recorder.simulators.mujoco.model import collides
 
 ADDED_SHARE = 1e-5
 """Mass and inertia of a link that is added between the joints of a body, as a share of the body's."""
@@ -140,11 +141,6 @@ def _hung(model: Any, body: int, parent: int, count: int, word: str) -> Iterator
 
 def _moves(model: Any, body: int) -> bool:
     return bool(model.body_weldid[body] != _WORLD)
-
-
-def collides(model: Any, geom: int) -> bool:
-    """Whether MuJoCo lets a geom touch anything by its masks."""
-    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
 def _refuse(model: Any, file: str) -> None:

@@ -22,6 +22,7 @@ class Sapien(SapienStepper):
     """N environments on SAPIEN."""
 
     Options = SapienOptions
+    distribution = "sapien"
     abilities = BODIES | ROBOTS
 
     @classmethod

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES, ROBOTS, VARIED, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
-from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.captured import gathered
+from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.flight import Flight, Watch
 from gpusimbench.recorder.simulators.mujoco.options import replacement
-from gpusimbench.recorder.simulators.slots import Slot
+from gpusimbench.recorder.simulators.slots import Slot, Slots
+from gpusimbench.recorder.simulators.slotted import Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
@@ -39,10 +39,11 @@ from gpusimbench.schemas.provenance import Buffer, OverflowBit
 _HARMLESS = ("ITERATIONS", "LS_ITERATIONS")  # a limit was reached, nothing was dropped
 
 
-class MujocoWarp(Simulator):
+class MujocoWarp(Slotted):
     """N environments, the worlds of one mujoco_warp.Data."""
 
     Options = WarpOptions
+    distribution = "mujoco-warp"
     abilities = BODIES | ROBOTS | {Ability.CHAINS, Ability.LOOPS, Ability.MODELS, *VARIED.values()}
     timing_interval = 10
     draws_actions = True
@@ -80,9 +81,7 @@ class MujocoWarp(Simulator):
         actions = self.scene.actions
         self._drawn = None if actions is None else DeviceActions(actions, self.seed, self.streams)
         self._row = wp.zeros(1, dtype=wp.int32)
-        self._slots: WarpSlots | None = None
         self._graphs: dict[str, Any] = {}
-        self._counted: Evidence | None = None  # of the last states; None: to be counted when asked
         return Description(
             version=mjw.__version__,
             device=warp_runtime.name_of(self._device),
@@ -319,27 +318,18 @@ class MujocoWarp(Simulator):
             self._drawn.step.zero_()
         self._counted = None
 
-    def begin_states(self, n_step: int) -> WarpBlock:
-        """See Simulator.begin_states."""
-        self.reserve(n_step)
-        assert self._slots is not None
-        slot = self._slots.take()
+    def _fill(self, slots: Slots, slot: Slot, n_step: int) -> WarpBlock:
         one = self._recording[id(slot)]
         self._row.zero_()
         for _ in range(n_step):
             one()
         slot.begin_copy(n_step)
-        return WarpBlock(self._slots, slot, n_step, self._compiled)
+        return WarpBlock(slots, slot, n_step, self._compiled)
 
     def flight(self, watch: Watch) -> Flight:
         """See Simulator.flight."""
         self.compile("capture")
         return WarpFlight(self._device, self._data, self._compiled, watch, self._one_step, self._captured)
-
-    def states(self, n_step: int) -> States:
-        """See Simulator.states."""
-        states, self._counted = gathered(self.begin_states, n_step, n_step)
-        return states
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence; MuJoCo Warp itself gathers overflow bits over steps."""
