@@ -19,7 +19,7 @@ from gpusimbench.evaluator.results.published import SCALING, AtLargest
 from gpusimbench.evaluator.results.sweeps import Sweep
 from gpusimbench.schemas.text import cut
 
-_LONGEST = 160  # characters of why a sweep ended; the whole stands in JSON
+LONGEST_END = 160  # characters of why a sweep ended; the whole stands in JSON
 _MEMORY = (DEVICE_MEMORY, PROCESS_MEMORY, HOST_MEMORY)
 
 
@@ -122,7 +122,7 @@ def _curve(index: int, sweep: Sweep, name: str) -> Curve:
         ideal=name == FPS.name,
         n_max=sweep.n_max,
         failed=next((p.n_env for p in sweep.points if p.n_env > (sweep.n_max or 0) and not p.complete), None),
-        ends=f"N_env^max {sweep.n_max}: {cut(sweep.ends, _LONGEST)}",
+        ends=f"N_env^max {sweep.n_max}: {cut(sweep.ends, LONGEST_END)}",
     )
 
 

@@ -20,10 +20,11 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import timed, words
-from gpusimbench.evaluator.report.scaling import SceneSweeps, scene_sweeps
+from gpusimbench.evaluator.report.scaling import LONGEST_END, SceneSweeps, scene_sweeps
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
+from gpusimbench.schemas.text import cut
 
 _HOW = (
     "Both axes are logarithmic. Ring: N_env^max, the largest number of environments with a complete run. Cross: the "
@@ -53,7 +54,7 @@ def sentence(sweep: Sweep) -> str:
     """How far a sweep goes, why it ends, and what an environment costs in memory."""
     largest = "no run is complete"
     if sweep.n_max is not None:
-        largest = f"most environments (N_env^max) {sweep.n_max:,}: {words.shortened(sweep.ends)}"
+        largest = f"most environments (N_env^max) {sweep.n_max:,}: {cut(sweep.ends, LONGEST_END)}"
     model, why_not = sweep.models.get(sweep.memory), sweep.no_model.get(sweep.memory)
     memory = [f"memory = {words.model(model)} ({SOURCES[sweep.memory]})"] if model else []
     memory += [f"no memory model: {why_not}"] if why_not else []
