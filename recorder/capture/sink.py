@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
@@ -64,6 +64,7 @@ class Sink:
         self._compression = compression
         self._lost = ""  # why nothing is written any more
         self._process = os.getpid()
+        self._at_end: list[Callable[[], None]] = []
         self.profile = FORMAT
 
     @cached_property
@@ -163,7 +164,8 @@ class Sink:
         status  COMPLETE, FAILED or INVALID
         cause   a name of gsb.v1.Cause; empty when complete
         """
-        digests = self._digest.digests()
+        with self.parting():
+            digests = self._digest.digests()
         end: Any = message_class("gsb.v1.RunEnd")(
             status=enum_values("gsb.v1.RunStatus")[f"RUN_STATUS_{status}"],
             reason=reason,
@@ -181,6 +183,7 @@ class Sink:
             os.fsync(self._stream.fileno())
             self._stream.close()
             publish(self.path)
+        self._end_helpers()
         return self.path
 
     def lost(self, error: BaseException) -> DataLost:
@@ -214,6 +217,15 @@ class Sink:
         self._end_writeback()
         with suppress(OSError):  # the error that led here is the one to report
             self._stream.close()
+        self._end_helpers()
+
+    def at_end(self, call: Callable[[], None]) -> None:
+        """Have this called once nothing more is written: it ends what helps to write."""
+        self._at_end.append(call)
+
+    def _end_helpers(self) -> None:
+        while self._at_end:
+            self._at_end.pop()()
 
     def _end_writeback(self) -> None:
         if self._writeback is not None:

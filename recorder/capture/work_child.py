@@ -1,0 +1,121 @@
+"""The process that works on the states of another one (see work_process): what runs in it."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import signal
+import sys
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import NamedTuple
+
+import numpy as np
+
+from gpusimbench.recorder.capture.ranges import BlockMemory, Ranges, columns_of
+from gpusimbench.recorder.capture.state_work import Read, StateWork, Stored
+from gpusimbench.recorder.capture.workers import Workers
+from gpusimbench.schemas.digest import ContentDigest
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.fingerprint import expect
+
+READ, HELD = 0, 1  # numbers of memories
+_GROUP = 4  # ranges of environments that a thread looks at together
+_LOOK_S = 2.0  # between two looks at whether the process that is worked for is still there
+
+
+class Task(NamedTuple):
+    """What all blocks have in common.
+
+    rows      that a block has room for
+    expected  bytes of states that are going to be hashed, see schemas.fingerprint
+    """
+
+    fields: tuple[StateField, ...]
+    n_env: int
+    rows: int
+    dt: float
+    stride: int
+    may_fail: frozenset[int]
+    expected: int
+
+
+class Order(NamedTuple):
+    """What is to be done next.
+
+    stored  memory, rows, and first step of what is written; None: nothing is
+    read    rows and first step of what is hashed; None: nothing is
+    """
+
+    stored: tuple[int, int, int] | None
+    read: tuple[int, int] | None
+
+
+class Shared:
+    """Memory of both processes: the rows that were read, those that are held, and the hashes [row, env]."""
+
+    def __init__(self, descriptor: int, task: Task) -> None:
+        block, ranges = BlockMemory.size(task.n_env, task.fields, task.rows), Ranges(task.n_env)
+        self.size = 2 * block + task.rows * task.n_env * 8
+        if os.fstat(descriptor).st_size < self.size:
+            os.ftruncate(descriptor, self.size)
+        buffer = mmap.mmap(descriptor, self.size)
+        self.memories = [BlockMemory(ranges, task.fields, task.rows, buffer, block * i) for i in (READ, HELD)]
+        self.hashes = np.ndarray((task.rows, task.n_env), np.uint64, buffer=buffer, offset=2 * block)
+
+
+def work(connection: Connection, memory: int) -> None:
+    """Answer orders until the other end of the connection is closed.
+
+    The first message is the Task. An Order is answered by the heads and CRCs of its blocks, then by None once they are
+    digested, then by head and CRC of the hashes' message, and what is not finite; anything else by the digests.
+    """
+    task: Task = connection.recv()
+    shared, ranges, digest = Shared(memory, task), Ranges(task.n_env), ContentDigest()
+    connection.send("ready")
+    expect(task.expected)
+    groups = ranges.groups(_GROUP)
+    state_work = StateWork(
+        task.fields, ranges, dt=task.dt, stride=task.stride, may_fail=task.may_fail, digest=digest,
+        workers=Workers(small=False), hashes=lambda rows: shared.hashes[:rows],
+    )  # fmt: skip
+    parent = os.getppid()
+    while True:
+        while not connection.poll(_LOOK_S):
+            if os.getppid() != parent:  # a copy of it may hold the connection open
+                return
+        order = connection.recv()
+        if not isinstance(order, Order):
+            connection.send(digest.digests())
+            continue
+        stored = read = None
+        if order.stored is not None:
+            which, rows, first = order.stored
+            together = shared.memories[which].side_by_side(slice(rows))
+            stored = Stored(first, columns_of(together), together)
+        if order.read is not None:
+            rows, first = order.read
+            states = [shared.memories[READ].part(group, slice(rows)) for group in groups]
+            read = Read(first, groups, states)
+        begun = state_work.begin(stored, read)
+        if stored is not None:
+            connection.send([(bytes(head.data), array.crc) for head, array in begun.blocks])
+            for _ in begun.digesting:
+                pass
+            connection.send(None)
+        for messages, found in begun.hashed:
+            connection.send(([(bytes(head.data), hashes.crc) for head, hashes in messages], found))
+
+
+def main() -> None:
+    """Work on what the arguments say: descriptors of the connection and of the memory."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # the other process decides when this one ends
+    connection = Connection(int(sys.argv[1]))
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        try:
+            work(connection, int(sys.argv[2]))
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            raise
+        except Exception as error:
+            connection.send(error if isinstance(error, MemoryError) else RuntimeError(f"{error}"))
