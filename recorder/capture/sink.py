@@ -23,6 +23,7 @@ from gpusimbench.schemas import FORMAT, __version__, topics
 from gpusimbench.schemas.configuration import EPOCH_NS
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
+from gpusimbench.schemas.mcap.assembly import Place, Records
 from gpusimbench.schemas.mcap.writer import McapWriter, Part
 from gpusimbench.schemas.messages import embedded_schema, enum_values, message_class
 from gpusimbench.schemas.writing import create, reopen
@@ -120,6 +121,30 @@ class Sink:
         """
         with self._disk():
             self._message(topic, parts, EPOCH_NS + sim_ns)
+
+    def place(self, topic_names: Sequence[str], size: int) -> Place | None:
+        """Where records of one message of each topic, in this order, would begin; None where they cannot be appended.
+
+        size  bytes that the first message has at least
+        """
+        if self._compression != "none":
+            return None
+        with self._disk():
+            if not self._writer.make_room(size):
+                return None
+            return Place(
+                self._writer.offset,
+                [self._channels[topic] for topic in topic_names],
+                [self._sequence.get(topic, 0) for topic in topic_names],
+                calendar_ns(),
+            )
+
+    def append(self, topic_names: Sequence[str], records: Records) -> None:
+        """Write messages whose records were made for a `place`; nothing was written since. Otherwise as write_parts."""
+        with self._disk():
+            for topic in topic_names:
+                self._sequence[topic] = self._sequence.get(topic, 0) + 1
+            self._writer.append(records)
 
     def view(self, topic: str, data: bytes, *, log_time: int | None = None) -> None:
         """A serialised message of the view; no digest covers it, since it follows from what others cover.

@@ -16,7 +16,7 @@ from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import fingerprint
-from gpusimbench.schemas.mcap.writer import Part
+from gpusimbench.schemas.mcap.assembly import Part, Place, Records
 
 _PIECES = 8  # of a block, at least, to be shared among threads
 
@@ -52,18 +52,21 @@ class Stored(NamedTuple):
     columns       by range of environments, [row, env, item, width]
     side_by_side  the same for each of Ranges.alike, [range, row, env, item, width]; empty where they do not lie so
     memory        number of the memory that they lie in, where a process works on them
+    place         of their messages in the file, if their records can be made beforehand
     """
 
     first_step: int
     columns: Sequence[Arrays]
     side_by_side: Sequence[Arrays] = ()
     memory: int = 0
+    place: Place | None = None
 
 
 class Begun(NamedTuple):
     """Work that is under way.
 
-    blocks     messages of each range and, within it, of each field
+    blocks     messages of each range and, within it, of each field; or, in one piece,
+    records    the records of all these messages
     digesting  one for each field; the arrays are needed until all have come
     hashed     once: the messages of all hashes, and what is not finite
     """
@@ -71,6 +74,7 @@ class Begun(NamedTuple):
     blocks: Iterable[Message]
     digesting: Iterable[object]
     hashed: Iterable[Hashed]
+    records: Iterable[Records] = ()
 
 
 class Work(Protocol):

@@ -121,6 +121,7 @@ class StateWriter:
         self._first_step = first_step
         self.last_step = first_step - 1
         self.last_recorded_step = first_step - 1
+        self._topics = [topics.state(f.group, f.field, start) for start in self._ranges.starts for f in self.fields]
         for field in self.fields:
             for start in self._ranges.starts:
                 metadata = {**field.to_metadata(), "stride": str(stride), "dt": repr(dt), "n_env": str(n_env)}
@@ -239,7 +240,9 @@ class StateWriter:
             # not where a block is looked at in the memory that it came in, though one before was read into the buffers
             if as_read and read is not None and self._memory is not None and self._memory.owns(read.states[0][0]):
                 together = self._memory.side_by_side(slice(rows))
-        stored = Stored(self._held_first, columns, together, READ if as_read else HELD)
+        # a process makes the records, too
+        place = self._sink.place(self._topics, columns[0][0].nbytes) if self._process is not None else None
+        stored = Stored(self._held_first, columns, together, READ if as_read else HELD, place)
         return _Writing(
             first_row=self._held_first // self._stride,
             columns=columns,
@@ -255,9 +258,11 @@ class StateWriter:
             self._view.rows(writing.first_row, writing.columns, self._ranges.starts.step)
 
     def _write_blocks(self, writing: _Writing) -> None:
-        places = [(start, field) for start in self._ranges.starts for field in self.fields]
-        for (start, field), parts in zip(places, writing.begun.blocks, strict=True):
-            self._sink.write_parts(topics.state(field.group, field.field, start), parts, sim_ns=writing.time)
+        for records in writing.begun.records:
+            self._sink.append(self._topics, records)
+        if not writing.begun.records:
+            for topic, parts in zip(self._topics, writing.begun.blocks, strict=True):
+                self._sink.write_parts(topic, parts, sim_ns=writing.time)
         self._sink.flush()  # small ones wait for others, and their arrays are not theirs for much longer
         for _ in writing.begun.digesting:
             pass

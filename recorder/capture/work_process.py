@@ -25,7 +25,7 @@ from gpusimbench.recorder.interruption import blocked
 from gpusimbench.schemas.blocks import raw_bytes
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import expected
-from gpusimbench.schemas.mcap.writer import Part
+from gpusimbench.schemas.mcap.assembly import Part, Records
 
 LEAST_CPUS = 4  # with fewer, the process takes them from the engine
 LEAST_BYTES = 64 << 20  # of states: starting the process takes about as long as the work on them
@@ -99,14 +99,15 @@ class WorkProcess:
         """See Work; the arrays are those of `shared`."""
         self._send(
             Order(
-                stored and (stored.memory, len(stored.columns[0][0]), stored.first_step),
+                stored and (stored.memory, len(stored.columns[0][0]), stored.first_step, stored.place),
                 read and (read.states[0][0].shape[1], read.first_step),
             )
         )
         return Begun(
-            self._blocks(stored) if stored else (),
+            self._blocks(stored) if stored and not stored.place else (),
             self._digesting() if stored else (),
             self._hashed(read) if read else (),
+            self._records() if stored and stored.place else (),
         )
 
     def digests(self) -> dict[str, str]:
@@ -130,6 +131,10 @@ class WorkProcess:
         arrays = [array for states in stored.columns for array in states]
         for (head, crc), array in zip(self._receive(), arrays, strict=True):
             yield Part(head), Part(raw_bytes(array), crc)
+
+    def _records(self) -> Iterator[Records]:
+        places, records = self._receive()
+        yield records._replace(pieces=self.shared.get(places))
 
     def _digesting(self) -> Iterator[None]:
         yield self._receive()

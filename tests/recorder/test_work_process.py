@@ -60,7 +60,8 @@ def drawn(n_step: int, n_env: int, fields: Sequence[StateField] = FIELDS) -> lis
 
 
 class Case(NamedTuple):
-    """What is fed; `counts` are numbers of rows that come together."""
+    """What is fed; `counts` are numbers of rows that come together, `beside` says whether others write small messages
+    between them."""
 
     n_env: int
     counts: tuple[int, ...]
@@ -71,6 +72,7 @@ class Case(NamedTuple):
     may_fail: frozenset[int] = frozenset()
     compression: str = "none"
     block_bytes: int = 128 << 20
+    beside: bool = False
 
 
 CASES = {
@@ -84,6 +86,8 @@ CASES = {
     "not finite": Case(150, (1, 50, 50), not_finite=(60, 149)),
     "not finite, as it may be": Case(150, (1, 50), not_finite=(5, 3), may_fail=frozenset((3,))),
     "compressed": Case(150, (1, 50, 9), compression="lz4"),
+    "beside small messages": Case(150, (1, 50, 50, 20, 50), beside=True),
+    "large ones beside small messages": Case(150, (1, 50, 50, 20, 50), dtype="float64", beside=True),
     "few rows a block": Case(3000, (1, 9, 30), block_bytes=1 << 20),
 }
 
@@ -99,7 +103,10 @@ def made(path: Path, case: Case) -> tuple[bytes, dict[str, str], list[str | None
         file, fields, n_env=case.n_env, dt=0.1, stride=case.stride, first_step=case.first_step, may_fail=case.may_fail
     )
     found, row, worked = [], 0, bool(helpers())
+    file.channel("/beside", "gsb.v1.Event")
     for count in case.counts:
+        if case.beside:
+            file.write("/beside", b"", sim_ns=row)
         found.append(writer.feed([array[row : row + count] for array in arrays]))
         row += count
     writer.flush()
