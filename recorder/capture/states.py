@@ -111,10 +111,11 @@ class StateWriter:
         self._memory: BlockMemory | None = None  # that blocks are read into, where they are not worked on as they came
         self._begun = False
         self._process: WorkProcess | None = None
-        if not small and worthwhile(None if n_row is None else n_row * row):
+        size = None if n_row is None else n_row * row
+        if not small and worthwhile(size):
             with suppress(OSError):  # a system that gives no memory or no process: threads do the same
                 self._process = WorkProcess(
-                    self.fields, n_env=n_env, rows=self._rows, dt=dt, stride=stride, may_fail=may_fail
+                    self.fields, n_env=n_env, rows=self._rows, dt=dt, stride=stride, may_fail=may_fail, size=size
                 )
                 sink.at_end(self._process.close)
         self._view = view

@@ -6,6 +6,7 @@ import mmap
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -110,7 +111,8 @@ def work(connection: Connection, memory: int) -> None:
     task: Task = connection.recv()
     shared, ranges, digest = Shared(memory, task), Ranges(task.n_env), ContentDigest()
     connection.send("ready")
-    expect(task.expected)
+    # numba takes seconds to load, and hashes are the same without it
+    threading.Thread(target=expect, args=(task.expected,), daemon=True).start()
     groups = ranges.groups(_GROUP)
     state_work = StateWork(
         task.fields, ranges, dt=task.dt, stride=task.stride, may_fail=task.may_fail, digest=digest,
@@ -168,3 +170,4 @@ def main() -> None:
             raise
         except Exception as error:
             connection.send(error if isinstance(error, MemoryError) else RuntimeError(f"{error}"))
+    os._exit(0)  # at once: the other process waits, and nothing here is to be put in order

@@ -18,7 +18,6 @@ from multiprocessing.connection import Pipe
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.recorder.capture.ranges import row_bytes
 from gpusimbench.recorder.capture.state_work import Begun, Hashed, Message, Read, Stored
 from gpusimbench.recorder.capture.work_child import Order, Shared, Task
 from gpusimbench.recorder.interruption import blocked
@@ -60,18 +59,23 @@ class WorkProcess:
         dt: float,
         stride: int,
         may_fail: frozenset[int],
+        size: int | None,
     ) -> None:
-        """rows  that a block has at most"""
-        task = Task(tuple(fields), n_env, rows, dt, stride, may_fail, max(expected(), rows * row_bytes(n_env, fields)))
+        """rows  that a block has at most
+        size  bytes of all states; None: it is not known
+        """
+        task = Task(tuple(fields), n_env, rows, dt, stride, may_fail, max(expected(), size or 0))
         self._owner = os.getpid()
         memory = os.memfd_create("gsb-states")
         self._connection, theirs = Pipe()
         try:
             self.shared = Shared(memory, task)
             with blocked():  # the user's interruption is not for it
+                # its path is given to it; a Python that needs PYTHONHOME does not start without
+                flags = ("-s", "-S") if "PYTHONHOME" in os.environ else ("-I", "-S")
                 numbers = (theirs.fileno(), memory)
                 self._child = subprocess.Popen(
-                    [sys.executable, "-I", "-S", "-c", _MAIN.format(path=_path()), *map(str, numbers)],
+                    [sys.executable, *flags, "-c", _MAIN.format(path=_path()), *map(str, numbers)],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     pass_fds=numbers,
