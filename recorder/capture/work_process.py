@@ -66,6 +66,7 @@ class WorkProcess:
         """
         task = Task(tuple(fields), n_env, rows, dt, stride, may_fail, max(expected(), size or 0))
         self._owner = os.getpid()
+        self._digests: dict[str, str] | None = None
         memory = os.memfd_create("gsb-states")
         self._connection, theirs = Pipe()
         try:
@@ -115,10 +116,15 @@ class WorkProcess:
         )
 
     def digests(self) -> dict[str, str]:
-        """Digests of the states and of the message of hashes, as of ContentDigest."""
-        self._send(None)
-        found: dict[str, str] = self._receive()
-        return found
+        """Digests of the states and of the message of hashes, as of ContentDigest, once all are there.
+
+        The process ends while the caller writes what is left to write.
+        """
+        if self._digests is None:
+            self._send(None)
+            self._digests = self._receive()
+            self._connection.close()
+        return self._digests
 
     def close(self) -> None:
         """End the process; a copy (os.fork) of the process that began it does not."""
