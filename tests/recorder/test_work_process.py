@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -200,6 +201,33 @@ def test_a_program_that_goes_on_after_that(tmp_path: Path) -> None:
             with pytest.raises(DataLost, match="writing stopped"):
                 log.append(*(array[begin : begin + 50] for array in rows))
         raise DataLost(KILLED)
+
+
+class Struck(BaseException):
+    """What a handler of a signal may raise."""
+
+
+@pytest.mark.parametrize("call", [2, 3, 5])
+def test_a_handler_that_raises(call: int, tmp_path: Path, process: pytest.MonkeyPatch) -> None:
+    """Give the file no good end where something strikes between an order and its answer."""
+    answers, receive = [], work_process.WorkProcess._receive
+
+    def struck(self: work_process.WorkProcess, *seconds: float) -> Any:
+        answers.append(1)
+        if len(answers) == call:
+            raise Struck
+        return receive(self, *seconds)
+
+    process.setattr(work_process.WorkProcess, "_receive", struck)
+    rows = drawn(150, 100)
+    with pytest.raises(DataLost, match="writing stopped: Struck"), writer(tmp_path / "a.mcap") as log:
+        for begin in (0, 50, 100):
+            with suppress(Struck, DataLost):
+                log.append(*(array[begin : begin + 50] for array in rows))
+    assert not (tmp_path / "a.mcap").exists()
+    recording = open_recording(tmp_path / "a.mcap.partial")
+    verify(recording)
+    assert recording.status == "incomplete"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
