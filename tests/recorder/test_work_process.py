@@ -23,7 +23,8 @@ from gpusimbench.recorder.capture import ranges, sink, states, work_process
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.log import RecordingWriter
-from gpusimbench.recorder.vector.device.log import About, HostLog
+from gpusimbench.recorder.vector.device.jax_rows import JaxRows
+from gpusimbench.recorder.vector.device.log import About, DeviceLog, HostLog
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import StateField, body_field
@@ -145,7 +146,7 @@ def whole(path: Path, n_step: int) -> bool:
 
 
 def test_rows_of_a_device(tmp_path: Path, process: pytest.MonkeyPatch) -> None:
-    """Work on what gpusimbench.wrap hands over of environments on a device."""
+    """Work on what gpusimbench.record_rollout hands over of environments on a device."""
     contents = []
     for name, cpus in (("process", 1), ("threads", sys.maxsize)):
         process.setattr(work_process, "LEAST_CPUS", cpus)
@@ -169,6 +170,27 @@ def test_rows_of_a_device(tmp_path: Path, process: pytest.MonkeyPatch) -> None:
     assert contents[0].keys() == contents[1].keys()
     for name, array in contents[0].items():
         assert len(array) == 438 and np.array_equal(array, contents[1][name]), name
+
+
+def test_none_while_a_device_steps(tmp_path: Path) -> None:
+    """Leave the rows of gpusimbench.wrap of environments on a device to the thread that writes them."""
+    jax = pytest.importorskip("jax")
+    about = About("a", "1", "b", "cpu", Mode.NEXT_STEP, False, {})
+    row = {
+        "observation": jax.numpy.ones((300, 5)),
+        "reward": jax.numpy.ones(300),
+        "terminated": jax.numpy.zeros(300, dtype=bool),
+        "truncated": jax.numpy.zeros(300, dtype=bool),
+    }
+    log = DeviceLog(JaxRows(), 60)
+    log.begin(row, HostLog(tmp_path / "a.mcap", steps=60, dt=0.1, about=about))
+    for _ in range(60):
+        assert not helpers()
+        log.make_room()
+        log.keep(row)
+    recording = open_recording(tmp_path / "a.mcap")
+    verify(recording)
+    assert recording.status == "complete"
 
 
 @pytest.mark.parametrize("when", ["between rows", "at the end"])
