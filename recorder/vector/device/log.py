@@ -142,9 +142,8 @@ class DeviceLog:
         check_envs(row)
         self._rows.keep(row)
         try:
-            with (
-                alone()
-            ):  # as the thread that writes the other rows: MJX, which launches kernels, lost more by a process
+            # as the thread that writes the other rows; beside another process MJX took longer
+            with alone():
                 log.append(self._rows.take()(), {})
         except BaseException as error:
             log.end(error)
