@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording
-from gpusimbench.recorder.capture.states import row_bytes
+from gpusimbench.recorder.capture.ranges import row_bytes
 
 _PIECE = 4 << 20  # bytes, as the largest messages have
 

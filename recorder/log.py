@@ -186,8 +186,9 @@ class RecordingWriter:
             for name, (media_type, data) in attached.items():
                 self._sink.attach(name, media_type, data)
             self._states = StateWriter(
-                self._sink, self._simulation.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=self._view()
-            )
+                self._sink, self._simulation.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=self._view(),
+                n_row=None if self._open else c.steps + 1,
+            )  # fmt: skip
             self._arrays = ArrayHashWriter(self._sink)
         except BaseException as error:
             self._sink.abandon()
@@ -343,8 +344,7 @@ class RecordingWriter:
             return "FAILED", f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}", cause_of(error)
         c, done = self._configuration, self._states.last_step
         if self._problems:
-            cause, _ = self._problems[0]
-            return "INVALID", "; ".join(dict.fromkeys(text for _, text in self._problems)), cause
+            return "INVALID", "; ".join(dict.fromkeys(text for _, text in self._problems)), self._problems[0][0]
         if done < c.steps:
             return "FAILED", f"states end at step {done} of {c.steps}" if done >= 0 else "no state was given", "ENGINE"
         if c.timed_steps and not self._clocked:

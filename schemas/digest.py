@@ -16,7 +16,7 @@ from __future__ import annotations
 import hashlib
 import json
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,11 @@ class ContentDigest:
 
     def __init__(self) -> None:
         self._hashes: dict[str, Any] = {}
+        self._others: list[Callable[[], Mapping[str, str]]] = []
+
+    def add(self, digests: Callable[[], Mapping[str, str]]) -> None:
+        """Take the digests of some streams from elsewhere: a process that was fed them."""
+        self._others.append(digests)
 
     def attachment(self, name: str, data: bytes) -> None:
         """Add an attachment."""
@@ -133,7 +138,10 @@ class ContentDigest:
 
     def digests(self) -> dict[str, str]:
         """Hexadecimal digests by stream."""
-        return {name: digest.hexdigest() for name, digest in self._hashes.items()}
+        found = {name: digest.hexdigest() for name, digest in self._hashes.items()}
+        for digests in self._others:
+            found |= digests()
+        return found
 
 
 def content_hash(digests: Mapping[str, str], status: str, reason: str) -> str:

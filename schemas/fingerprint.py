@@ -54,6 +54,11 @@ def expect(size: int) -> None:
                 _compiled = add_hashes
 
 
+def expected() -> int:
+    """Bytes of states that are going to be hashed by this process, as far as it was told."""
+    return _expected
+
+
 def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:
     """Hashes of states, shape [...], from the state's fields in recording order.
 

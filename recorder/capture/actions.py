@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.capture.ranges import env_block
 from gpusimbench.recorder.capture.sink import Sink
-from gpusimbench.recorder.capture.states import env_block
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.action_generator import GENERATOR, JointTargets, Streams, describe_generator, expect

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import psutil
 
-from gpusimbench.recorder.capture.states import env_block, row_bytes
+from gpusimbench.recorder.capture.ranges import env_block, row_bytes
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.recorder.capture.writing import Block
 from gpusimbench.recorder.failure import NoHostMemory

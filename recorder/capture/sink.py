@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,7 @@ from gpusimbench.schemas import FORMAT, __version__, topics
 from gpusimbench.schemas.configuration import EPOCH_NS
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
+from gpusimbench.schemas.mcap.assembly import Place, Records
 from gpusimbench.schemas.mcap.writer import McapWriter, Part
 from gpusimbench.schemas.messages import embedded_schema, enum_values, message_class
 from gpusimbench.schemas.writing import create, reopen
@@ -64,6 +65,7 @@ class Sink:
         self._compression = compression
         self._lost = ""  # why nothing is written any more
         self._process = os.getpid()
+        self._at_end: list[Callable[[], None]] = []
         self.profile = FORMAT
 
     @cached_property
@@ -120,6 +122,30 @@ class Sink:
         with self._disk():
             self._message(topic, parts, EPOCH_NS + sim_ns)
 
+    def place(self, topic_names: Sequence[str], size: int) -> Place | None:
+        """Where records of one message of each topic, in this order, would begin; None where they cannot be appended.
+
+        size  bytes that the first message has at least
+        """
+        if self._compression != "none":
+            return None
+        with self._disk():
+            if not self._writer.make_room(size):
+                return None
+            return Place(
+                self._writer.offset,
+                [self._channels[topic] for topic in topic_names],
+                [self._sequence.get(topic, 0) for topic in topic_names],
+                calendar_ns(),
+            )
+
+    def append(self, topic_names: Sequence[str], records: Records) -> None:
+        """Write messages whose records were made for a `place`; nothing was written since. Otherwise as write_parts."""
+        with self._disk():
+            for topic in topic_names:
+                self._sequence[topic] = self._sequence.get(topic, 0) + 1
+            self._writer.append(records)
+
     def view(self, topic: str, data: bytes, *, log_time: int | None = None) -> None:
         """A serialised message of the view; no digest covers it, since it follows from what others cover.
 
@@ -163,7 +189,8 @@ class Sink:
         status  COMPLETE, FAILED or INVALID
         cause   a name of gsb.v1.Cause; empty when complete
         """
-        digests = self._digest.digests()
+        with self.parting():
+            digests = self._digest.digests()
         end: Any = message_class("gsb.v1.RunEnd")(
             status=enum_values("gsb.v1.RunStatus")[f"RUN_STATUS_{status}"],
             reason=reason,
@@ -181,6 +208,7 @@ class Sink:
             os.fsync(self._stream.fileno())
             self._stream.close()
             publish(self.path)
+        self._end_helpers()
         return self.path
 
     def lost(self, error: BaseException) -> DataLost:
@@ -214,6 +242,15 @@ class Sink:
         self._end_writeback()
         with suppress(OSError):  # the error that led here is the one to report
             self._stream.close()
+        self._end_helpers()
+
+    def at_end(self, call: Callable[[], None]) -> None:
+        """Have this called once nothing more is written: it ends what helps to write."""
+        self._at_end.append(call)
+
+    def _end_helpers(self) -> None:
+        while self._at_end:
+            self._at_end.pop()()
 
     def _end_writeback(self) -> None:
         if self._writeback is not None:

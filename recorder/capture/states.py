@@ -2,48 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.capture.ranges import BlockMemory, Ranges, columns_of, row_bytes, steps_per_block
 from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.state_work import Begun, NotFinite, Read, StateWork, Stored, Work
 from gpusimbench.recorder.capture.view import ViewWriter
+from gpusimbench.recorder.capture.work_child import HELD, READ
+from gpusimbench.recorder.capture.work_process import WorkProcess, worthwhile
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import encode_fingerprints, fingerprint_parts, little_endian, state_parts
+from gpusimbench.schemas.blocks import encode_fingerprints, little_endian
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.fingerprint import ALGORITHM, fingerprint
-from gpusimbench.schemas.mcap.writer import Part
+from gpusimbench.schemas.fingerprint import ALGORITHM
 
-STEPS_PER_BLOCK = 50
-_ENV_BLOCK_MIN = 64
-_ENV_BLOCKS = 64
-_BLOCK_BYTES = 4 << 20
-_RING_BYTES = 128 << 20
 _ALONE_BYTES = 2 << 20  # blocks up to this size are not worth other threads: 1.1 MB took a fifth more time with two
-_PIECES = 8  # of a block, at least, to be shared among threads
 _GROUP = 4  # ranges of environments that a thread reads and looks at together
-
-
-def env_block(n_env: int) -> int:
-    """Environments per block: few topics for many environments, one block for few."""
-    return max(_ENV_BLOCK_MIN, -(-n_env // _ENV_BLOCKS))
-
-
-def row_bytes(n_env: int, fields: Sequence[StateField]) -> int:
-    """Bytes of the states of all environments after one step."""
-    return n_env * sum(len(f.items) * f.width * np.dtype(f.dtype).itemsize for f in fields)
-
-
-def steps_per_block(n_env: int, fields: Sequence[StateField]) -> int:
-    """Rows per block, so that the largest message stays at about 4 MB, and a block of all environments at 128 MiB."""
-    row = max(len(f.items) * f.width * np.dtype(f.dtype).itemsize for f in fields) * min(n_env, env_block(n_env))
-    return max(1, min(STEPS_PER_BLOCK, _BLOCK_BYTES // row, _RING_BYTES // row_bytes(n_env, fields)))
 
 
 def declare_fingerprints(sink: Sink, phase: str) -> None:
@@ -63,52 +45,28 @@ def write_fingerprints(
     sink.write(topics.fingerprint(phase), data, sim_ns=sim_time_ns(first_step, dt))
 
 
-def hash_messages(hashes: NDArray[np.uint64], *, first_step: int) -> Sequence[tuple[Part, ...]]:
-    """State hashes [step, env] of consecutive steps."""
-    return [fingerprint_parts(hashes, first_step=first_step, stride=1)]
-
-
-class _Piece(NamedTuple):
-    """A part of a block that one thread looks at: some steps of some ranges of environments of the same size.
-
-    states  [range, step, env, item, width]
-    """
-
-    states: States
-    first_row: int
-    first_env: int
-
-
-_Looked = tuple[NDArray[np.uint64], list[tuple[int, int, str]]]
-"""Hashes [step, env] of a piece, and where it is not finite: step, environment, and the name of the place."""
-
-
 class _Writing(NamedTuple):
-    """Rows that other threads make messages of.
+    """Rows that others make messages of.
 
     first_row  number of the first of them in the recording
     columns    their states, by range of environments
     last_step  the last of them
     time       simulated time of the first [ns]
-    places     number of the range of environments, and of the field, of each message
-    blocks     the messages, in that order
-    digesting  one for each field; the arrays are needed until all have come
+    begun      the work on them
     """
 
     first_row: int
     columns: Sequence[States]
     last_step: int
     time: int
-    places: list[tuple[int, int]]
-    blocks: Iterable[tuple[Part, ...]]
-    digesting: Iterable[None]
+    begun: Begun
 
 
 class StateWriter:
     """Writes the states of the capture phase.
 
     Rows are fed at full rate; every `stride`-th is stored, and every one is hashed. Ranges of environments, and fields,
-    are worked on by several threads, so that the file keeps pace with a device.
+    are worked on by several threads, of another process where that pays, so that the file keeps pace with a device.
 
     last_step           last step that was fed; -1 before the first
     last_recorded_step  last step whose state is in the file; rows held back for a full block are not yet
@@ -128,34 +86,45 @@ class StateWriter:
         first_step: int = 0,
         view: ViewWriter | None = None,
         may_fail: frozenset[int] = frozenset(),
+        n_row: int | None = None,
     ) -> None:
         """first_step  number of the first state that will be fed
         may_fail    environments whose states need not be finite
+        n_row       rows that will be fed in all; None: it is not known
         """
         self._sink = sink
         self.fields = tuple(fields)
-        self._n_env = n_env
         self._dt = dt
         self._stride = stride
-        self._may_fail = may_fail
         self._rows = steps_per_block(n_env, fields)
-        self._starts = range(0, n_env, env_block(n_env))
-        even = n_env // env_block(n_env)  # ranges of the full size; there may be one more
-        self._alike = [ranges for ranges in (range(even), range(even, len(self._starts))) if ranges]
-        self._groups = [
-            ranges[at : at + _GROUP] for ranges in self._alike for at in range(0, len(ranges), _GROUP)
-        ]  # of ranges of one size
+        self._ranges = Ranges(n_env)
         self._held: list[list[States]] = []  # by block that was fed, then by range of environments
         self._held_rows = 0
         self._held_first = 0
-        self._buffers: dict[int, States] = {}  # [range, row, env, item, width] by the first range, of _alike
-        self.workers = Workers(small=row_bytes(n_env, fields) * self._rows < _ALONE_BYTES)
+        row = row_bytes(n_env, fields)
+        small = row * self._rows < _ALONE_BYTES
+        self.workers = Workers(small=small)
+        self._threads = StateWork(
+            self.fields, self._ranges, dt=dt, stride=stride, may_fail=may_fail, digest=sink.digest,
+            workers=self.workers,
+        )  # fmt: skip
+        self._memory: BlockMemory | None = None  # that blocks are read into, where they are not worked on as they came
+        self._begun = False
+        self._process: WorkProcess | None = None
+        size = None if n_row is None else n_row * row
+        if not self.workers.alone and worthwhile(size):
+            with suppress(OSError):  # a system that gives no memory or no process: threads do the same
+                self._process = WorkProcess(
+                    self.fields, n_env=n_env, rows=self._rows, dt=dt, stride=stride, may_fail=may_fail, size=size
+                )
+                sink.at_end(self._process.close)
         self._view = view
         self._first_step = first_step
         self.last_step = first_step - 1
         self.last_recorded_step = first_step - 1
+        self._topics = [topics.state(f.group, f.field, start) for start in self._ranges.starts for f in self.fields]
         for field in self.fields:
-            for start in self._starts:
+            for start in self._ranges.starts:
                 metadata = {**field.to_metadata(), "stride": str(stride), "dt": repr(dt), "n_env": str(n_env)}
                 sink.channel(topics.state(field.group, field.field, start), "gsb.v1.StateBlock", metadata)
         declare_fingerprints(sink, "capture")
@@ -182,135 +151,142 @@ class StateWriter:
         """
         first = self.last_step + 1
         keep = slice(-first % self._stride, None, self._stride)
-        if len(self._starts) > 1 and not self._buffers:
-            self._buffers = {ranges.start: self._memory(ranges) for ranges in self._alike}
-        groups = list(self.workers.start(lambda group: self._read(block, group), self._groups))
-        columns = [states for group in groups for states in zip(*group, strict=True)]
+        if not self._begun:
+            self._begin()
+        read = self._read_block(block, first)
+        columns = columns_of(read.states)
         with shielded():  # hashes and rows stay in step, so that what was fed can be written after an interruption
             kept = [tuple(array[keep] for array in states) for states in columns]
             stored = len(kept[0][0])
             if self._held_rows + stored > self._rows:
                 self.flush()  # no message has more rows than that
+            whole = self._held_rows + stored >= self._rows or first == self._first_step
+            as_read = whole and not self._held_rows and self._stride == 1  # and are written from where they were read
             if stored:
                 if not self._held_rows:
                     self._held_first = first + keep.start
-                self._held.append(kept)
+                self._held.append(kept if as_read else self._hold(kept, read, keep, whole=whole))
                 self._held_rows += stored
             self.last_step += len(columns[0][0])
-            whole = self._held_rows >= self._rows or first == self._first_step
-            if stored and not whole:  # until the block is full, in memory of their own
-                self._held[-1] = [tuple(array.copy() for array in states) for states in kept]
             # in this order: a file is written by one thread, which must not wait for hashes that others make meanwhile
             with self._sink.parting():  # states and their hashes, too
-                found = self._write_and_look(groups, first, meanwhile, whole=whole)
+                found = self._write_and_look(read, meanwhile, whole=whole, as_read=as_read)
         if not found:
             return None
         row, env, what = min(found)
         return f"a state is not finite: step {first + row}, env {env}, {what}"
 
+    def _begin(self) -> None:
+        # a process was begun with the writer, and takes a while until it works
+        self._begun = True
+        if self._process is not None and not self._process.ready():
+            self._process = None
+        if self._process is not None:
+            self._sink.digest.add(self._process.digests)
+            self._memory = self._process.shared.memories[READ]
+        elif len(self._ranges.starts) > 1:
+            self._memory = BlockMemory(self._ranges, self.fields, self._rows)
+
+    def _hold(self, kept: list[States], read: Read, keep: slice, *, whole: bool) -> list[States]:
+        # rows in memory of their own, until the block is full
+        if self._process is None:
+            return kept if whole else [tuple(array.copy() for array in states) for states in kept]
+        rows = slice(self._held_rows, self._held_rows + len(kept[0][0]))
+        held = self._process.shared.memories[HELD].side_by_side(rows)
+        for own, states in zip(held, read.states, strict=True):
+            for to, array in zip(own, states, strict=True):
+                np.copyto(to, array[:, keep])
+        return columns_of(held)
+
     def _write_and_look(
-        self, groups: Sequence[States], first: int, meanwhile: Callable[[], None], *, whole: bool
-    ) -> list[tuple[int, int, str]]:
+        self, read: Read, meanwhile: Callable[[], None], *, whole: bool, as_read: bool
+    ) -> list[NotFinite]:
         # rows that are held back where they are a whole block, and hashes of the new rows; what of them is not finite
-        rows = groups[0][0].shape[1]
-        just_read = rows if len(self._held) == self._stride == 1 and self._side_by_side(groups) else 0
-        writing = self._begin_writing(just_read=just_read) if whole else None
-        pieces = self._pieces(groups)
-        looked_at = self.workers.start(self._look, pieces)
-        hashed = self.workers.start(lambda _: self._gather(pieces, looked_at, rows, first), (0,))
+        writing = self._begin_writing(read, as_read=as_read) if whole else None
+        hashed = writing.begun.hashed if writing else self._work.begin(None, read).hashed
         meanwhile()
         if writing:
             self._end_writing(writing)
         messages, found = next(iter(hashed))
+        time = sim_time_ns(read.first_step, self._dt)
         for message in messages:
-            self._sink.write_parts(topics.fingerprint("capture"), message, sim_ns=sim_time_ns(first, self._dt))
+            self._sink.write_parts(topics.fingerprint("capture"), message, sim_ns=time)
         self._sink.flush()
         return found
 
-    def _side_by_side(self, groups: Sequence[States]) -> bool:
-        # not where a block is looked at in the memory that it came in, though one before was read into the buffers
-        return bool(self._buffers) and groups[0][0].base is self._buffers[0][0]
-
-    def _gather(
-        self, pieces: Sequence[_Piece], looked_at: Iterable[_Looked], rows: int, first: int
-    ) -> tuple[Sequence[tuple[Part, ...]], list[tuple[int, int, str]]]:
-        # the messages of a block's hashes, digested, and what is not finite
-        hashes = np.empty((rows, self._n_env), dtype=np.uint64)
-        found = []
-        for piece, (some, not_finite) in zip(pieces, looked_at, strict=True):
-            stop, envs = piece.first_row + some.shape[0], piece.first_env + some.shape[1]
-            hashes[piece.first_row : stop, piece.first_env : envs] = some
-            found += not_finite
-        messages = hash_messages(hashes, first_step=first)
-        for message in messages:
-            self._sink.digest.message(topics.fingerprint("capture"), *(part.data for part in message))
-        return messages, found
+    @property
+    def _work(self) -> Work:
+        return self._process or self._threads
 
     def flush(self) -> None:
         """Write the rows that are held back for a full block."""
         with shielded():
             if self._held_rows:
-                self._end_writing(self._begin_writing())
+                with self._sink.parting():
+                    self._end_writing(self._begin_writing())
                 self._sink.flush()
 
-    def _begin_writing(self, *, just_read: int = 0) -> _Writing:
-        # of all rows that are held back; just_read: how many they are where they are those of the last block as it was
-        # read, whose ranges still lie side by side in memory
+    def _begin_writing(self, read: Read | None = None, *, as_read: bool = False) -> _Writing:
+        # of all rows that are held back
+        # read     what is to be hashed meanwhile
+        # as_read  the rows are those, where they were read
         held, self._held = self._held, []
         rows, self._held_rows = self._held_rows, 0
-        columns = held[0] if len(held) == 1 else [_joined(parts) for parts in zip(*held, strict=True)]
-        places = [(column, field) for column in range(len(self._starts)) for field in range(len(self.fields))]
+        together: list[States] = []
+        if self._process is not None:
+            together = self._process.shared.memories[READ if as_read else HELD].side_by_side(slice(rows))
+            columns = columns_of(together)
+        else:
+            columns = held[0] if len(held) == 1 else [_joined(parts) for parts in zip(*held, strict=True)]
+            # not where a block is looked at in the memory that it came in, though one before was read into the buffers
+            if as_read and read is not None and self._memory is not None and self._memory.owns(read.states[0][0]):
+                together = self._memory.side_by_side(slice(rows))
+        # a process makes the records, too
+        place = self._sink.place(self._topics, columns[0][0].nbytes) if self._process is not None else None
+        stored = Stored(self._held_first, columns, together, READ if as_read else HELD, place)
         return _Writing(
             first_row=self._held_first // self._stride,
             columns=columns,
             last_step=self._held_first + (rows - 1) * self._stride,
             time=sim_time_ns(self._held_first, self._dt),
-            places=places,
-            blocks=self.workers.start(lambda place: self._block(columns, *place), places),
-            digesting=self.workers.start(
-                lambda field: self._digest(field, columns, just_read), range(len(self.fields))
-            ),
+            begun=self._work.begin(stored, read),
         )
 
     def _end_writing(self, writing: _Writing) -> None:
         with self._sink.parting():
             self._write_blocks(writing)
         if self._view is not None:
-            self._view.rows(writing.first_row, writing.columns, env_block(self._n_env))
+            self._view.rows(writing.first_row, writing.columns, self._ranges.starts.step)
 
     def _write_blocks(self, writing: _Writing) -> None:
-        for (column, index), parts in zip(writing.places, writing.blocks, strict=True):
-            field = self.fields[index]
-            topic = topics.state(field.group, field.field, self._starts[column])
-            self._sink.write_parts(topic, parts, sim_ns=writing.time)
+        for records in writing.begun.records:
+            self._sink.append(self._topics, records)
+        if not writing.begun.records:
+            for topic, parts in zip(self._topics, writing.begun.blocks, strict=True):
+                self._sink.write_parts(topic, parts, sim_ns=writing.time)
         self._sink.flush()  # small ones wait for others, and their arrays are not theirs for much longer
-        for _ in writing.digesting:
+        for _ in writing.begun.digesting:
             pass
         self.last_recorded_step = writing.last_step
 
-    def _memory(self, ranges: range) -> States:
-        # for a block of these ranges, which are of one size; memory that is new to the process costs more than copying
-        envs = min(self._starts.step, self._n_env - self._starts[ranges.start])
-        shape = (len(ranges), self._rows, envs)
-        return tuple(
-            np.empty((*shape, len(f.items), f.width), dtype=np.dtype(f.dtype).newbyteorder("<")) for f in self.fields
-        )
+    def _read_block(self, block: Captured, first: int) -> Read:
+        if self._process is not None:  # few copies, as large as can be, none of which needs the interpreter
+            groups = self._ranges.alike
+            return Read(first, groups, [self._read(block, group) for group in groups])
+        groups = self._ranges.groups(_GROUP)
+        return Read(first, groups, list(self.workers.start(lambda group: self._read(block, group), groups)))
 
     def _read(self, block: Captured, ranges: range) -> States:
         # [range, step, env, item, width]
-        first = self._starts[ranges.start]
-        envs = slice(first, min(first + len(ranges) * self._starts.step, self._n_env))
+        envs = self._ranges.envs(ranges)
         arrays = block.states(envs)
         self._check(arrays, envs.stop - envs.start)
-        if len(self._starts) == 1:
+        if len(self._ranges.starts) == 1 and self._process is None:
             if all(array.flags.c_contiguous for array in arrays):
                 return tuple(little_endian(array)[np.newaxis] for array in arrays)
-            self._buffers = self._buffers or {0: self._memory(ranges)}
-        alike = next(alike for alike in self._alike if ranges.start in alike)
-        own = slice(ranges.start - alike.start, ranges.stop - alike.start)
-        filled = tuple(
-            buffer[own, : len(array)] for buffer, array in zip(self._buffers[alike.start], arrays, strict=True)
-        )
+            self._memory = self._memory or BlockMemory(self._ranges, self.fields, self._rows)
+        assert self._memory is not None
+        filled = self._memory.part(ranges, slice(len(arrays[0])))
         for buffer, array in zip(filled, arrays, strict=True):
             np.copyto(buffer, array.reshape(buffer.swapaxes(0, 1).shape).swapaxes(0, 1))
         return filled
@@ -324,48 +300,6 @@ class StateWriter:
                     f"the simulator gives {field.name} of {n_env} environments as {array.dtype} {array.shape}, "
                     f"not {dtype} ({len(arrays[0])}, {', '.join(map(str, shape))})"
                 )
-
-    def _pieces(self, groups: Sequence[States]) -> list[_Piece]:
-        # where there are few ranges of environments, steps are shared out as well, among threads if there are any
-        rows = groups[0][0].shape[1]
-        size = rows if self.workers.alone else max(1, -(-rows * len(groups) // _PIECES))
-        return [
-            _Piece(tuple(array[:, row : row + size] for array in states), row, self._starts[ranges.start])
-            for ranges, states in zip(self._groups, groups, strict=True)
-            for row in range(0, rows, size)
-        ]
-
-    def _look(self, piece: _Piece) -> _Looked:
-        # hashes [step, env], and for each field the first number that is not finite: its step, environment and place
-        ranges, rows, envs = piece.states[0].shape[:3]
-        found = []
-        for field, array in zip(self.fields, piece.states, strict=True):
-            if np.isfinite(array).all():
-                continue
-            wrong = (~np.isfinite(array)).swapaxes(0, 1).reshape(rows, ranges * envs, *array.shape[3:])
-            wrong[:, np.isin(piece.first_env + np.arange(ranges * envs), list(self._may_fail))] = False
-            if wrong.any():
-                row, env, item, _ = (int(i) for i in np.argwhere(wrong)[0])
-                where = f"{field.name} of {field.items[item]}" if field.items[item] else field.name
-                found.append((piece.first_row + row, piece.first_env + env, where))
-        return fingerprint(piece.states).swapaxes(0, 1).reshape(rows, ranges * envs), found
-
-    def _digest(self, index: int, columns: Sequence[States], just_read: int) -> None:
-        field, digest = self.fields[index], self._sink.digest
-        if just_read:
-            together = [self._buffers[ranges.start][index][:, :just_read] for ranges in self._alike]
-            digest.state_ranges(field, self._n_env, together)
-        else:
-            digest.state_columns(field, self._n_env, [states[index] for states in columns])
-
-    def _block(self, columns: Sequence[States], column: int, index: int) -> tuple[Part, ...]:
-        return state_parts(
-            columns[column][index],
-            first_step=self._held_first,
-            stride=self._stride,
-            env_start=self._starts[column],
-            sim_time_ns=sim_time_ns(self._held_first, self._dt),
-        )
 
 
 def _joined(parts: Sequence[States]) -> States:

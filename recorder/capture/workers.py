@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import chain
 from typing import TypeVar
 
@@ -25,6 +26,16 @@ def share(yes: bool) -> None:
     Each thread more that works takes the interpreter for a while whenever a user's thread lets go of it.
     """
     _here.shares = yes
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """The calling thread shares no work within the block, neither with threads nor with a process."""
+    share(False)
+    try:
+        yield
+    finally:
+        share(True)
 
 
 class Workers:

@@ -9,7 +9,8 @@ from gpusimbench.recorder import interruption
 from gpusimbench.recorder.capture.actions import ActionWriter
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
 from gpusimbench.recorder.capture.kept import KeptStates
-from gpusimbench.recorder.capture.states import StateWriter, row_bytes
+from gpusimbench.recorder.capture.ranges import row_bytes
+from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.capture.writing import Block, Writing
@@ -62,6 +63,7 @@ class CapturePhase:
         writer = self.writer = StateWriter(
             sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, first_step=c.first_step, view=view,
             may_fail=intervention.poisoned(c.n_env) if intervention else frozenset(),
+            n_row=c.captured_steps + 1,
         )  # fmt: skip
         begin_anew(simulator, c)
         drawn = simulator.scene.actions

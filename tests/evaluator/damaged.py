@@ -14,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from gpusimbench.recorder.capture import states
+from gpusimbench.recorder.capture import state_work
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.blocks import encode_fingerprints
@@ -194,7 +194,7 @@ REWRITTEN: dict[str, tuple[str, Callable[[Messages], Messages]]] = {
 
 def hashes_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the recorder write state hashes of states that are not there."""
-    monkeypatch.setattr(states, "fingerprint", lambda arrays: fingerprint(arrays) + np.uint64(1))
+    monkeypatch.setattr(state_work, "fingerprint", lambda arrays: fingerprint(arrays) + np.uint64(1))
 
 
 def whole(folder: Path, *, change: Callable[[str, dict[str, Any]], None] | None = None, **keywords: Any) -> Path:

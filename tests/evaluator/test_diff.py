@@ -25,7 +25,7 @@ from gpusimbench.evaluator.results.details import Equality
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import EQUALITY_RUNS
 from gpusimbench.evaluator.runs.reader import read_run
-from gpusimbench.recorder.capture import states as capture
+from gpusimbench.recorder.capture import state_work as capture
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
 from gpusimbench.schemas.fields import body_field

@@ -19,7 +19,7 @@ from gpusimbench.evaluator.check.integrity.problem import DAMAGE, MAX_KEPT, REMA
 from gpusimbench.evaluator.check.integrity.scan import scan
 from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.rule import Level, load_rules
-from gpusimbench.recorder.capture import states
+from gpusimbench.recorder.capture import state_work
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode
 from gpusimbench.schemas.mcap.decompression import decompress
@@ -155,9 +155,9 @@ def test_hashes_of_fields_that_are_not_there(end: bool, tmp_path: Path) -> None:
 
 def test_steps_without_hashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Count the steps that have no hashes, and name the first."""
-    made = states.hash_messages
+    made = state_work.hash_messages
     monkeypatch.setattr(
-        states, "hash_messages", lambda hashes, *, first_step: [] if first_step else made(hashes, first_step=0)
+        state_work, "hash_messages", lambda hashes, *, first_step: [] if first_step else made(hashes, first_step=0)
     )
     assert examine(whole(tmp_path)).of(Kind.fingerprint) == ("5 of 6 captured steps have none, the first is step 1",)
 

@@ -13,7 +13,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.recorder.capture import states
+from gpusimbench.recorder.capture import state_work
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.schemas.blocks import fingerprint_parts
 from gpusimbench.schemas.errors import DamagedRecording
@@ -154,7 +154,7 @@ def test_a_forged_file_is_named_and_the_rest_evaluated(forgery: str, tmp_path: P
 
 def test_hashes_that_are_not_of_the_states(gsb_eval: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Refuse hashes that call different environments equal, also where the digests are taken on trust."""
-    monkeypatch.setattr(states, "fingerprint", lambda arrays: np.zeros(arrays[0].shape[:-2], dtype=np.uint64))
+    monkeypatch.setattr(state_work, "fingerprint", lambda arrays: np.zeros(arrays[0].shape[:-2], dtype=np.uint64))
     final = grid(3)
     final[1] += 0.1
     path = write_recording(tmp_path, final)
@@ -176,7 +176,7 @@ def test_hashes_may_be_split_by_environment(tmp_path: Path, monkeypatch: pytest.
     final = grid(3)
     final[2] += 0.1
     whole = open_recording(write_recording(tmp_path, final)).fingerprints("capture")
-    monkeypatch.setattr(states, "hash_messages", split)
+    monkeypatch.setattr(state_work, "hash_messages", split)
     recording = open_recording(write_recording(tmp_path, final))
     verify(recording)
     parts = recording.fingerprints("capture")
@@ -190,7 +190,9 @@ def test_hashes_may_be_split_by_environment(tmp_path: Path, monkeypatch: pytest.
 def test_hashes_of_the_wrong_shape(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int]) -> None:
     """Refuse hashes of more or fewer environments than there are."""
     wrong = np.zeros(shape, dtype=np.uint64)
-    monkeypatch.setattr(states, "hash_messages", lambda hashes, **_: [fingerprint_parts(wrong, first_step=0, stride=1)])
+    monkeypatch.setattr(
+        state_work, "hash_messages", lambda hashes, **_: [fingerprint_parts(wrong, first_step=0, stride=1)]
+    )
     recording = open_recording(write_recording(tmp_path, grid(3)))
     with pytest.raises(DamagedRecording):
         verify(recording)

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from gpusimbench import RecordingWriter, open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.kept import KeptStates
+from gpusimbench.recorder.capture.ranges import env_block
 from gpusimbench.recorder.capture.sink import Sink
-from gpusimbench.recorder.capture.states import StateWriter, env_block
+from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.recorder.capture.writing import Block, Writing
@@ -138,7 +139,7 @@ def test_states_whose_hashes_cannot_be_made(
             raise MemoryError
         return fingerprint(states)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("gpusimbench.recorder.capture.states.fingerprint", failing)
+    monkeypatch.setattr("gpusimbench.recorder.capture.state_work.fingerprint", failing)
     rows = states(60, n_env)
     path, stopped = (
         tmp_path / "a.mcap",

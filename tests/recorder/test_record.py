@@ -15,7 +15,8 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.recorder.capture.states import StateWriter, env_block, steps_per_block
+from gpusimbench.recorder.capture.ranges import env_block, steps_per_block
+from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC

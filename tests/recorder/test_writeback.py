@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import RecordingWriter, open_recording, verify
-from gpusimbench.recorder.capture import states, writeback
+from gpusimbench.recorder.capture import state_work, writeback
 from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import array_field
 
@@ -67,7 +67,7 @@ def test_no_thread_is_left(tmp_path: Path) -> None:
 def test_what_is_no_error_gives_no_good_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the file without an end where something else than an error, such as what a handler of SIGALRM raises,
     strikes between digests and bytes: they would not be of the same states."""
-    blocks, made = states.state_parts, []
+    blocks, made = state_work.state_parts, []
 
     def struck(*arguments: Any, **named: Any) -> Any:
         made.append(1)
@@ -75,7 +75,7 @@ def test_what_is_no_error_gives_no_good_end(tmp_path: Path, monkeypatch: pytest.
             raise Struck
         return blocks(*arguments, **named)
 
-    monkeypatch.setattr(states, "state_parts", struck)
+    monkeypatch.setattr(state_work, "state_parts", struck)
     with pytest.raises(DataLost, match=r"writing stopped: Struck; what was written is in .*partial"):
         record(tmp_path / "a.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.partial"]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
+from gpusimbench.recorder.capture.workers import alone
 from gpusimbench.recorder.capture.writing import Writing
 from gpusimbench.recorder.interruption import postponed
 from gpusimbench.recorder.log import RecordingWriter
@@ -141,7 +142,9 @@ class DeviceLog:
         check_envs(row)
         self._rows.keep(row)
         try:
-            log.append(self._rows.take()(), {})
+            # as the thread that writes the other rows; beside another process MJX took longer
+            with alone():
+                log.append(self._rows.take()(), {})
         except BaseException as error:
             log.end(error)
             raise

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.recorder.capture.states import STEPS_PER_BLOCK
+from gpusimbench.recorder.capture.ranges import STEPS_PER_BLOCK
 from gpusimbench.recorder.vector.device import states as of_states
 from gpusimbench.recorder.vector.device.log import HostLog
 from gpusimbench.recorder.vector.device.rows import check_envs

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.capture.states import STEPS_PER_BLOCK
+from gpusimbench.recorder.capture.ranges import STEPS_PER_BLOCK
 from gpusimbench.schemas.errors import UsageError
 
 Arrays = Mapping[str, Any]

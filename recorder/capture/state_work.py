@@ -1,0 +1,196 @@
+"""The work on a block of states: hashes, the search for what is not finite, digests, and the messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.recorder.capture.ranges import Arrays, Ranges
+from gpusimbench.recorder.capture.workers import Workers
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import fingerprint_parts, state_parts
+from gpusimbench.schemas.configuration import sim_time_ns
+from gpusimbench.schemas.digest import ContentDigest
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.mcap.assembly import Part, Place, Records
+
+_PIECES = 8  # of a block, at least, to be shared among threads
+
+Message = tuple[Part, ...]
+NotFinite = tuple[int, int, str]
+"""Row of the block, environment, and the name of the place."""
+
+Hashed = tuple[Sequence[Message], list[NotFinite]]
+
+
+def hash_messages(hashes: NDArray[np.uint64], *, first_step: int) -> Sequence[Message]:
+    """State hashes [step, env] of consecutive steps."""
+    return [fingerprint_parts(hashes, first_step=first_step, stride=1)]
+
+
+class Read(NamedTuple):
+    """Rows that were read, all of which are hashed.
+
+    first_step  of the first of them
+    groups      numbers of ranges of one size
+    states      theirs, [range, row, env, item, width]
+    """
+
+    first_step: int
+    groups: Sequence[range]
+    states: Sequence[Arrays]
+
+
+class Stored(NamedTuple):
+    """Rows that are written.
+
+    first_step    of the first of them
+    columns       by range of environments, [row, env, item, width]
+    side_by_side  the same for each of Ranges.alike, [range, row, env, item, width]; empty where they do not lie so
+    memory        number of the memory that they lie in, where a process works on them
+    place         of their messages in the file, if their records can be made beforehand
+    """
+
+    first_step: int
+    columns: Sequence[Arrays]
+    side_by_side: Sequence[Arrays] = ()
+    memory: int = 0
+    place: Place | None = None
+
+
+class Begun(NamedTuple):
+    """Work that is under way.
+
+    blocks     messages of each range and, within it, of each field; or, in one piece,
+    records    the records of all these messages
+    digesting  one for each field; the arrays are needed until all have come
+    hashed     once: the messages of all hashes, and what is not finite
+    """
+
+    blocks: Iterable[Message]
+    digesting: Iterable[object]
+    hashed: Iterable[Hashed]
+    records: Iterable[Records] = ()
+
+
+class Work(Protocol):
+    """Whoever does the work."""
+
+    def begin(self, stored: Stored | None, read: Read | None) -> Begun:
+        """Begin on rows to be written, and on rows to be hashed."""
+
+
+class _Piece(NamedTuple):
+    # some rows of some ranges of the same size, which one thread looks at
+    states: Arrays
+    first_row: int
+    first_env: int
+
+
+class StateWork:
+    """Does the work by the threads of this process.
+
+    may_fail  environments whose states need not be finite
+    digest    takes the states and the message of the hashes
+    hashes    memory of the hashes [row, env] of so many rows
+    """
+
+    def __init__(
+        self,
+        fields: Sequence[StateField],
+        ranges: Ranges,
+        *,
+        dt: float,
+        stride: int,
+        may_fail: frozenset[int],
+        digest: ContentDigest,
+        workers: Workers,
+        hashes: Callable[[int], NDArray[np.uint64]] | None = None,
+    ) -> None:
+        self._fields = fields
+        self._ranges = ranges
+        self._dt = dt
+        self._stride = stride
+        self._may_fail = may_fail
+        self._sha256 = digest
+        self._workers = workers
+        self._hashes = hashes or (lambda rows: np.empty((rows, ranges.n_env), dtype=np.uint64))
+
+    def begin(self, stored: Stored | None, read: Read | None) -> Begun:
+        """See Work."""
+        start = self._workers.start
+        blocks: Iterable[Message] = ()
+        digesting: Iterable[object] = ()
+        hashed: Iterable[Hashed] = ()
+        if stored is not None:
+            places = [(column, field) for column in range(len(stored.columns)) for field in range(len(self._fields))]
+            blocks = start(lambda place: self._block(stored, *place), places)
+            digesting = start(lambda field: self._digest(field, stored), range(len(self._fields)))
+        if read is not None:
+            pieces = self._pieces(read)
+            looked_at = start(self._look, pieces)
+            hashed = start(lambda _: self._gather(read, pieces, looked_at), (0,))
+        return Begun(blocks, digesting, hashed)
+
+    def _pieces(self, read: Read) -> list[_Piece]:
+        # where there are few ranges of environments, steps are shared out as well, among threads if there are any
+        rows = read.states[0][0].shape[1]
+        size = rows if self._workers.alone else max(1, -(-rows * len(read.groups) // _PIECES))
+        return [
+            _Piece(tuple(array[:, row : row + size] for array in states), row, self._ranges.starts[ranges.start])
+            for ranges, states in zip(read.groups, read.states, strict=True)
+            for row in range(0, rows, size)
+        ]
+
+    def _look(self, piece: _Piece) -> tuple[NDArray[np.uint64], list[NotFinite]]:
+        # hashes [row, env], and for each field the first number that is not finite
+        ranges, rows, envs = piece.states[0].shape[:3]
+        found = []
+        for field, array in zip(self._fields, piece.states, strict=True):
+            if np.isfinite(array).all():
+                continue
+            wrong = (~np.isfinite(array)).swapaxes(0, 1).reshape(rows, ranges * envs, *array.shape[3:])
+            wrong[:, np.isin(piece.first_env + np.arange(ranges * envs), list(self._may_fail))] = False
+            if wrong.any():
+                row, env, item, _ = (int(i) for i in np.argwhere(wrong)[0])
+                where = f"{field.name} of {field.items[item]}" if field.items[item] else field.name
+                found.append((piece.first_row + row, piece.first_env + env, where))
+        return fingerprint(piece.states).swapaxes(0, 1).reshape(rows, ranges * envs), found
+
+    def _gather(
+        self,
+        read: Read,
+        pieces: Sequence[_Piece],
+        looked_at: Iterable[tuple[NDArray[np.uint64], list[NotFinite]]],
+    ) -> Hashed:
+        # the messages of a block's hashes, digested, and what is not finite
+        hashes = self._hashes(read.states[0][0].shape[1])
+        found = []
+        for piece, (some, not_finite) in zip(pieces, looked_at, strict=True):
+            stop, envs = piece.first_row + some.shape[0], piece.first_env + some.shape[1]
+            hashes[piece.first_row : stop, piece.first_env : envs] = some
+            found += not_finite
+        messages = hash_messages(hashes, first_step=read.first_step)
+        for message in messages:
+            self._sha256.message(topics.fingerprint("capture"), *(part.data for part in message))
+        return messages, found
+
+    def _digest(self, index: int, stored: Stored) -> None:
+        field, n_env = self._fields[index], self._ranges.n_env
+        if stored.side_by_side:
+            self._sha256.state_ranges(field, n_env, [states[index] for states in stored.side_by_side])
+        else:
+            self._sha256.state_columns(field, n_env, [states[index] for states in stored.columns])
+
+    def _block(self, stored: Stored, column: int, index: int) -> Message:
+        return state_parts(
+            stored.columns[column][index],
+            first_step=stored.first_step,
+            stride=self._stride,
+            env_start=self._ranges.starts[column],
+            sim_time_ns=sim_time_ns(stored.first_step, self._dt),
+        )

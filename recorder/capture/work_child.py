@@ -1,0 +1,173 @@
+"""The process that works on the states of another one (see work_process): what runs in it."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.recorder.capture.ranges import BlockMemory, Ranges, columns_of
+from gpusimbench.recorder.capture.state_work import Message, Read, StateWork, Stored
+from gpusimbench.recorder.capture.workers import Workers
+from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
+from gpusimbench.schemas.digest import ContentDigest
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.fingerprint import expect
+from gpusimbench.schemas.mcap.assembly import Assembly, Buffer, Place, Records
+
+READ, HELD = 0, 1  # numbers of memories
+_RECORD_BYTES = 1024  # of a message beside its array, at most: heads, indexes
+_GROUP = 4  # ranges of environments that a thread looks at together
+_LOOK_S = 2.0  # between two looks at whether the process that is worked for is still there
+
+
+class Task(NamedTuple):
+    """What all blocks have in common.
+
+    rows      that a block has room for
+    expected  bytes of states that are going to be hashed, see schemas.fingerprint
+    """
+
+    fields: tuple[StateField, ...]
+    n_env: int
+    rows: int
+    dt: float
+    stride: int
+    may_fail: frozenset[int]
+    expected: int
+
+
+class Order(NamedTuple):
+    """What is to be done next.
+
+    stored  memory, rows, first step and place of what is written; None: nothing is
+    read    rows and first step of what is hashed; None: nothing is
+    """
+
+    stored: tuple[int, int, int, Place | None] | None
+    read: tuple[int, int] | None
+
+
+class Shared:
+    """Memory of both processes: rows that were read, rows that are held, hashes [row, env], and other bytes.
+
+    The system gives what is used of it.
+    """
+
+    def __init__(self, descriptor: int, task: Task) -> None:
+        block, ranges = BlockMemory.size(task.n_env, task.fields, task.rows), Ranges(task.n_env)
+        hashes = task.rows * task.n_env * 8
+        other = (
+            block + len(ranges.starts) * len(task.fields) * _RECORD_BYTES
+        )  # small messages may be all that there are
+        if os.fstat(descriptor).st_size == 0:
+            os.ftruncate(descriptor, 2 * block + hashes + other)
+        buffer = mmap.mmap(descriptor, 2 * block + hashes + other)
+        self.memories = [BlockMemory(ranges, task.fields, task.rows, buffer, block * i) for i in (READ, HELD)]
+        self.hashes = np.ndarray((task.rows, task.n_env), np.uint64, buffer=buffer, offset=2 * block)
+        self._bytes = np.frombuffer(buffer, np.uint8)
+        self._other = 2 * block + hashes
+
+    def put(self, pieces: Sequence[Buffer]) -> NDArray[np.int64]:
+        """Where pieces are, [piece, (offset, size)]: in this memory, or copied there, until the next ones are."""
+        begin, end = self._bytes.ctypes.data, self._other
+        places: list[tuple[int, int]] = []
+        for piece in pieces:
+            array = np.frombuffer(piece, np.uint8)
+            offset = array.ctypes.data - begin
+            if 0 <= offset < self._other:
+                places.append((offset, array.size))
+                continue
+            self._bytes[end : end + array.size] = array
+            if places and sum(places[-1]) == end:
+                places[-1] = (places[-1][0], places[-1][1] + array.size)
+            else:
+                places.append((end, array.size))
+            end += array.size
+        return np.array(places, np.int64).reshape(-1, 2)
+
+    def get(self, places: NDArray[np.int64]) -> list[memoryview]:
+        """The pieces that another process has put."""
+        view = self._bytes.data
+        return [view[offset : offset + size] for offset, size in places.tolist()]
+
+
+def work(connection: Connection, memory: int) -> None:
+    """Answer orders until the other end of the connection is closed.
+
+    The first message is the Task. An Order is answered by the heads and CRCs of its blocks, or by the records of their
+    messages; then by None once they are digested; then by head and CRC of the hashes' message, and what is not finite.
+    Anything else is answered by the digests.
+    """
+    task: Task = connection.recv()
+    shared, ranges, digest = Shared(memory, task), Ranges(task.n_env), ContentDigest()
+    connection.send("ready")
+    # numba takes seconds to load, and hashes are the same without it
+    threading.Thread(target=expect, args=(task.expected,), daemon=True).start()
+    groups = ranges.groups(_GROUP)
+    state_work = StateWork(
+        task.fields, ranges, dt=task.dt, stride=task.stride, may_fail=task.may_fail, digest=digest,
+        workers=Workers(small=False), hashes=lambda rows: shared.hashes[:rows],
+    )  # fmt: skip
+    parent = os.getppid()
+    while True:
+        while not connection.poll(_LOOK_S):
+            if os.getppid() != parent:  # a copy of it may hold the connection open
+                return
+        order = connection.recv()
+        if not isinstance(order, Order):
+            connection.send(digest.digests())
+            continue
+        stored = read = None
+        if order.stored is not None:
+            which, rows, first, place = order.stored
+            together = shared.memories[which].side_by_side(slice(rows))
+            stored = Stored(first, columns_of(together), together, place=place)
+        if order.read is not None:
+            rows, first = order.read
+            states = [shared.memories[READ].part(group, slice(rows)) for group in groups]
+            read = Read(first, groups, states)
+        begun = state_work.begin(stored, read)
+        if stored is not None and stored.place is not None:
+            records = assembled(stored.place, begun.blocks, EPOCH_NS + sim_time_ns(stored.first_step, task.dt))
+            connection.send((shared.put(records.pieces), records._replace(pieces=())))
+        elif stored is not None:
+            connection.send([(bytes(head.data), array.crc) for head, array in begun.blocks])
+        if stored is not None:
+            for _ in begun.digesting:
+                pass
+            connection.send(None)
+        for messages, found in begun.hashed:
+            connection.send(([(bytes(head.data), hashes.crc) for head, hashes in messages], found))
+
+
+def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Records:
+    """The records of messages at their place."""
+    assembly = Assembly(place.offset)
+    for channel, sequence, parts in zip(place.channels, place.sequences, messages, strict=True):
+        assembly.message(channel, parts, log_time=log_time, publish_time=place.publish_time, sequence=sequence)
+    return assembly.records()
+
+
+def main() -> None:
+    """Work on what the arguments say: descriptors of the connection and of the memory."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # the other process decides when this one ends
+    connection = Connection(int(sys.argv[1]))
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        try:
+            work(connection, int(sys.argv[2]))
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            raise
+        except Exception as error:
+            connection.send(error if isinstance(error, MemoryError) else RuntimeError(f"{error}"))
+    os._exit(0)  # at once: the other process waits, and nothing here is to be put in order
