@@ -25,13 +25,13 @@ DEFAULT_S = 5.0
 class Sampled:
     """Files as they were read, and the times at which their positions were sampled.
 
-    files    in the order in which they were asked for
+    files    by place
     time     of every scene that is not in `shorter` [s]
     shorter  by scene, the time of those that have another [s]: the one that the scene names, where a recording has it,
              else the last that all of its recordings have
     """
 
-    files: tuple[Run | Unreadable, ...]
+    files: Mapping[Place, Run | Unreadable]
     time: float
     shorter: Mapping[str, float] = field(default_factory=dict)
 
@@ -63,6 +63,7 @@ def _why(at: float, time: float, runs: Sequence[Run]) -> str:
 
 def read_sampled(places: Sequence[Place], reader: Reader, work: Work) -> Sampled:
     """Read files, and those of scenes with another sample time than the reader's at that one, if it says so."""
+    places = list(dict.fromkeys(places))
     files = dict(zip(places, read_all(places, reader, work), strict=True))
     runs = [file for file in files.values() if isinstance(file, Run)]
     others = _others(runs, reader.sample_time) if reader.own_times else {}
@@ -76,7 +77,7 @@ def read_sampled(places: Sequence[Place], reader: Reader, work: Work) -> Sampled
         stamps = {place: file.stamp for place, file in read if isinstance(file, Run) and isinstance(file.stamp, Stamp)}
         anew = replace(reader, sample_time=time, verified=stamps)  # each was verified, if at all, a moment ago
         files.update(zip(again, read_all(again, anew, work), strict=True))
-    return Sampled(tuple(files[place] for place in places), reader.sample_time, others)
+    return Sampled(files, reader.sample_time, others)
 
 
 def _others(runs: Sequence[Run], time: float) -> dict[str, float]:

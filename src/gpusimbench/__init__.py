@@ -121,20 +121,11 @@ def evaluate(
     cannot be read, and Unreachable where a pattern's file system cannot be reached.
     """
     from gpusimbench.evaluator.check.protocol import reader
-    from gpusimbench.evaluator.compute.work import HERE
-    from gpusimbench.evaluator.read.addresses import expand
-    from gpusimbench.evaluator.results import evaluate as computing
-    from gpusimbench.evaluator.runs.reader import Unreadable
-    from gpusimbench.evaluator.runs.sample_time import read_sampled
+    from gpusimbench.evaluator.results.evaluate import read_and_evaluate
 
-    places = expand([place(file) for file in files])
-    compared = [place(reference)] if reference is not None else []
-    sampled = read_sampled([*places, *compared], reader(sample_time, verify=verified), HERE)
-    other = sampled.files[-1] if compared else None
-    if isinstance(other, Unreadable):
-        raise other.error
-    read = sampled.files[: len(places)]
-    return computing.evaluate(read, reference=other, sample_time=sampled.time, shorter=sampled.shorter)
+    compared = place(reference) if reference is not None else None
+    how = reader(sample_time, verify=verified)
+    return read_and_evaluate([place(file) for file in files], how, reference=compared)[0]
 
 
 def compare(

@@ -90,7 +90,7 @@ def test_strides(tmp_path: Path, sets: list[tuple[int, int]]) -> None:
     ((scene, time),) = sampled.shorter.items()
     common = set.intersection(*(set(range(0, steps + 1, stride)) for steps, stride in sets))
     assert round(time / 0.01) == max(common)
-    assert all(not isinstance(file.positions, Missing) for file in sampled.files)  # type: ignore[union-attr]
+    assert all(not isinstance(file.positions, Missing) for file in sampled.files.values())  # type: ignore[union-attr]
 
 
 @given(st.lists(st.tuples(st.sampled_from([0.01, 0.004, 0.02]), st.integers(1, 40), st.integers(1, 7)), min_size=1))
