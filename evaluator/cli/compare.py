@@ -166,14 +166,14 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UsageError("--html needs --history; for two sets, use --markdown or --json")
     base, head = _given(arguments)
 
-    from gpusimbench.evaluator.check.protocol import reader
     from gpusimbench.evaluator.compare.compare import compare
     from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.inputs.reader import Reader
     from gpusimbench.evaluator.read.addresses import expand
 
     work = Work(store=store_of(arguments))
-    how = reader(arguments.sample_time, verify=not arguments.no_verify)
+    how = Reader(arguments.sample_time, verify=not arguments.no_verify)
     sides = read_sides(expand(base), expand(head), how, work)
     result = compare(*sides, settings, work, arguments.across)
     if work.store:
@@ -211,13 +211,13 @@ def _run_history(arguments: argparse.Namespace, settings: Settings, command: str
     if arguments.gate and (unfit := _OF_TWO_SETS & {axis.value for axis in settings.gates}):
         raise UsageError(f"--history has no curves of {' and '.join(sorted(unfit))}: compare two sets by them")
 
-    from gpusimbench.evaluator.check.protocol import reader
     from gpusimbench.evaluator.compare.history.history import trace
     from gpusimbench.evaluator.compare.history.points import read_points
     from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.inputs.reader import Reader
 
     work = Work(store=store_of(arguments))
-    how = reader(arguments.sample_time, verify=not arguments.no_verify)
+    how = Reader(arguments.sample_time, verify=not arguments.no_verify)
     found = read_points(arguments.history, how, work)
     history = trace(found, settings, work, gated=arguments.gate is not None)
     if work.store:

@@ -97,7 +97,7 @@ def _formats(text: str) -> tuple[str, ...]:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
-    from gpusimbench.evaluator.check.protocol import reader
+    from gpusimbench.evaluator.inputs.reader import Reader
     from gpusimbench.evaluator.read.addresses import left_below
     from gpusimbench.evaluator.results.evaluate import read_and_evaluate
 
@@ -115,7 +115,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         reportlab()
     with ExitStack() as stack:
         work = _work(arguments, stack)
-        how = reader(arguments.sample_time, verify=not arguments.no_verify)
+        how = Reader(arguments.sample_time, verify=not arguments.no_verify)
         reference = _one(arguments.reference)
         evaluation, recordings = read_and_evaluate(arguments.files, how, reference=reference, work=work)
     if work.store:
