@@ -74,7 +74,7 @@ def _row(result: GroupResult, one: Run) -> Row:
             Cell(one.content_hash or "none", code=bool(one.content_hash)),
             Cell(one.provenance.created_utc),
         ),
-        facets(result),
+        facets(result.group.key),
     )
 
 

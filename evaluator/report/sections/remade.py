@@ -145,7 +145,7 @@ def _variability(source: Source, rows: Sequence[VariabilityRow]) -> Table:
         distinct = (Cell(words.count_of(result.metrics[f"distinct_{of}"])) for of in ("envs", "runs"))
         kind = EMPTY if regime is None else Cell(f"{regime:.0f}", regime)
         against = fault if result.group.complete else EMPTY
-        shown.append(Row((named(source, result), kind, *distances, *distinct, against), facets(result)))
+        shown.append(Row((named(source, result), kind, *distances, *distinct, against), facets(result.group.key)))
         if row.paper:
             told = (str(one) for one in (row.paper.regime, row.paper.w1_real, row.paper.parallel, row.paper.run_to_run))
             cells = (f"{row.paper.simulator}, the paper's", *told, NONE, NONE, "published")

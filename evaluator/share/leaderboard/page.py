@@ -24,6 +24,7 @@ from gpusimbench.evaluator.render.document import (
 from gpusimbench.evaluator.render.document import Section as Part
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.sections.rows import facets
 from gpusimbench.evaluator.report.verdicts import QUESTIONS
 from gpusimbench.evaluator.report.words import amount, shared
 from gpusimbench.evaluator.results.cost_metrics import FPS
@@ -171,12 +172,12 @@ def _ranking(key: str, section: Section) -> Table:
             *(question.answer([row.result]) for question in QUESTIONS),
             _checked(row), _reproduced(row),
         )  # fmt: skip
-        rows.append(Row(cells, _facets(row)))
+        rows.append(Row(cells, facets(row.key)))
     return table(key, f"Ranking: {_heading(section)}", columns, rows).without_empty_columns()
 
 
 def _points(key: str, of: Sequence[Standing]) -> Table:
-    rows = [Row((_who(row), _envs(row), _speed(row), _memory(row), _checked(row)), _facets(row)) for row in of]
+    rows = [Row((_who(row), _envs(row), _speed(row), _memory(row), _checked(row)), facets(row.key)) for row in of]
     return table(key, "", ("simulator", "envs", _SPEED, "memory", _CHECKED), rows)
 
 
@@ -184,7 +185,7 @@ def _without_place(key: str, of: Sequence[Standing]) -> Table:
     rows = []
     for row in of:
         why = Cell(row.no_place, tone=Tone.BAD if _is_fault(row) else Tone.QUIET)
-        rows.append(Row((_who(row), _envs(row), why, _checked(row), _reproduced(row)), _facets(row)))
+        rows.append(Row((_who(row), _envs(row), why, _checked(row), _reproduced(row)), facets(row.key)))
     return table(key, "", ("simulator", "envs", "why it has no place", _CHECKED, _REPRODUCED), rows)
 
 
@@ -194,7 +195,7 @@ def _settings(key: str, of: Sequence[Standing]) -> Table:
         work = row.result.timed
         solver = [f"{name} {value}" for name, value in work.settings.items() if value]
         said = (_lines(solver), _lines(words.settings(row)), _lines(words.unmet(row)))
-        rows.append(Row((Cell(row.name, notes=(f"{row.key.n_env:,} envs",)), *said), _facets(row)))
+        rows.append(Row((Cell(row.name, notes=(f"{row.key.n_env:,} envs",)), *said), facets(row.key)))
     return table(key, "", ("simulator", "solver", "switches in force", f"rules of {PROTOCOL} that are not met"), rows)
 
 
@@ -210,13 +211,8 @@ def _files(key: str, section: Section) -> Table:
             of = Cell(words.short(entry.replay_of), code=True) if entry.replay_of else EMPTY
             who = Cell(row.name, notes=(f"{row.key.n_env:,} envs",))
             cells = (who, Cell(entry.name, code=True), Cell(entry.content_hash or "no hash", code=True), ended, of)
-            rows.append(Row(cells, _facets(row)))
+            rows.append(Row(cells, facets(row.key)))
     return table(key, "", ("simulator", "file", "content hash", "status", "replay of"), rows)
-
-
-def _facets(row: Standing) -> dict[str, str]:
-    key = row.key
-    return {"simulator": key.simulator, "scene": key.scene, "device": key.device or "none", "level": key.determinism}
 
 
 def _who(row: Standing) -> Cell:
