@@ -15,8 +15,9 @@ from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.contents import DAMAGED, WHOLE, Checkup, LookedAt, check_up, is_recording
 from gpusimbench.evaluator.share.dataset.folder import find
-from gpusimbench.evaluator.share.leaderboard.document import KIND, dump_csv, dump_json
-from gpusimbench.evaluator.share.leaderboard.page import leaderboard_document
+from gpusimbench.evaluator.share.leaderboard.csv import dump_csv
+from gpusimbench.evaluator.share.leaderboard.document import leaderboard_document
+from gpusimbench.evaluator.share.leaderboard.json import KIND, dump_json
 from gpusimbench.evaluator.share.leaderboard.reproduction import replays_of
 from gpusimbench.evaluator.share.leaderboard.standing import Board, sections
 from gpusimbench.schemas import checks
