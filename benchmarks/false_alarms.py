@@ -24,17 +24,16 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from benchmarks.arguments import parser
-from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compare.compare import compare
 from gpusimbench.evaluator.compare.finding import DEFAULT_GATES, Settings
 from gpusimbench.evaluator.compare.sides import Side
 from gpusimbench.evaluator.compute.work import HERE
+from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.metrics.memory import Checkpoints
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.positions import Positions
-from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run as ReadRun
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
@@ -80,7 +79,7 @@ def record(count: int, folder: Path) -> None:
 
 def read(arms: dict[str, Path]) -> None:
     """Write the CSV from recordings, in the order in which they were made."""
-    reader = Reader(5.0, unmet_by_file, verify=False)
+    reader = Reader(5.0, verify=False)
     rows = []
     for arm, folder in arms.items():
         for path in folder.glob("*.mcap"):

@@ -20,16 +20,15 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from benchmarks.false_alarms import Run, kept, read_run
-from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compare.finding import Change, Settings
 from gpusimbench.evaluator.compare.history.history import History, trace
 from gpusimbench.evaluator.compare.history.points import Point, Points
 from gpusimbench.evaluator.compute.work import HERE
+from gpusimbench.evaluator.inputs.known_files import read_all
+from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.runs.groups import group
-from gpusimbench.evaluator.runs.known_files import read_all
-from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run as ReadRun
 from gpusimbench.evaluator.statistics.change_points import change_points
 
@@ -45,7 +44,7 @@ Times = NDArray[np.float64]
 def deviations() -> list[float]:
     """SD of the logarithm of the throughput, of every configuration with three runs in the two sets that the document's
     simulations were made for: recordings/*.mcap and recordings/h200."""
-    reader = Reader(5.0, unmet_by_file, verify=False)
+    reader = Reader(5.0, verify=False)
     shipped = [*RECORDINGS.glob("*.mcap"), *(RECORDINGS / "h200").glob("*.mcap")]
     files = list(read_all(sorted(shipped), reader, HERE))
     found = []

@@ -26,14 +26,13 @@ from benchmarks.machine import machine
 from benchmarks.scale_cost import Plan, Prices, Rates, extrapolate
 from benchmarks.scale_runs import SHIPPED, record
 from benchmarks.transport_large import thrown
-from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compute.mapping import serial
+from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.metrics.variability import MAX_CERTIFIED_POINTS, parallel_variability, run_to_run_variability
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.parquet import parquet_tables
 from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.results.identity_metrics import identical_steps
-from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.evaluator.share.pack import pack
@@ -54,7 +53,7 @@ def _cpu(function: Callable[..., _Result], *arguments: object) -> tuple[float, _
 
 
 def _read(paths: Sequence[Path], sample_time: float) -> list[Run]:
-    read = [Reader(sample_time, unmet_by_file, verify=False)(path) for path in paths]
+    read = [Reader(sample_time, verify=False)(path) for path in paths]
     found = [r for r in read if isinstance(r, Run) and r.usable]
     if len(found) < len(read):
         raise SystemExit("a run that was just recorded cannot be read")

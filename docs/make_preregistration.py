@@ -21,11 +21,11 @@ import numpy as np
 from page_blocks import redraw
 
 from gpusimbench.evaluator.missing import known
-from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_END_POSITION, TOSS_FACE, TOSS_POSITION, TOSS_ROTATION
+from gpusimbench.evaluator.results.toss_ranking import errors_by_toss
 from gpusimbench.evaluator.statistics.cases import Paired, paired
 from gpusimbench.evaluator.statistics.families import holm
 
@@ -101,12 +101,6 @@ def power(spread: float, cases: int = TOSSES) -> tuple[float, float]:
     return differs, max(0.0, 2 * NormalDist().cdf(scaled - quantile) - 1)
 
 
-def errors(result: GroupResult) -> dict[int, float]:
-    """Error of position [cm] by the number of the toss."""
-    details = result.metrics[TOSS_POSITION.name].of(OverTosses)
-    return dict(zip(details.numbers, details.per_toss, strict=True))
-
-
 def power_table(evaluation: Evaluation) -> str:
     """Power by the spread of differences between every two groups of a set."""
     judged = [r for r in evaluation.results if known(r.metrics[TOSS_POSITION.name].value) is not None]
@@ -116,7 +110,7 @@ def power_table(evaluation: Evaluation) -> str:
     ]
     spreads = []
     for one, other in combinations(judged, 2):
-        first, second = errors(one), errors(other)
+        first, second = errors_by_toss(one), errors_by_toss(other)
         both = sorted(first.keys() & second.keys())
         difference = np.array([first[toss] - second[toss] for toss in both])
         spreads.append((float(difference.std(ddof=1)), one.label, other.label))
@@ -142,7 +136,7 @@ def contrasts(results: Iterable[GroupResult]) -> tuple[list[Contrast], list[str]
                 missing.append(f"{simulator} {option}={value}: no recording of {name} has errors")
         if usual is None or changed is None:
             continue
-        first, second = errors(changed), errors(usual)
+        first, second = errors_by_toss(changed), errors_by_toss(usual)
         both = sorted(first.keys() & second.keys())
         a, b = np.array([first[t] for t in both]), np.array([second[t] for t in both])
         error = float((a - b).std(ddof=1)) / len(both) ** 0.5

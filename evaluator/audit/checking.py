@@ -42,7 +42,7 @@ def check_files(paths: Sequence[Place]) -> Check:
     found += [(f.path, f.not_opened) for f in files if f.recording is None and f.path not in said]
     found += _unasked(report.unchecked, {path for path, _ in found})
     damaged = _by_file(found)
-    whole = [f.recording for f in files if f.recording is not None and f.path not in damaged]
+    whole = [f.recording for f in files if isinstance(f.recording, Recording) and f.path not in damaged]
     good, copies = _without_copies(whole)
     kept = {recording.path for recording in good}
     broken = [(path, f"{f.rule.id}: {f.found}") for f in errors for path in f.files if path in kept]

@@ -180,7 +180,7 @@ def inspect(file: Integrity) -> Inspection:
         "attachments": {name: len(data) for name, data in file.scan.attachments.items()},
         "peak_rss_bytes": (int(file.end.peak_rss_bytes) or None) if file.end is not None else None,
     }
-    if recording is not None:
+    if isinstance(recording, Recording):
         said |= _streams(recording, file.scan)
     return Inspection(**said)
 

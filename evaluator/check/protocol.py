@@ -10,16 +10,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import cast
 
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.integrity.problem import Problems
 from gpusimbench.evaluator.check.rules.findings import check, points
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Level, RuleSet, Scope, load_rules
+from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.evaluator.runs.sample_time import DEFAULT_S
 
 OF_THROUGHPUT = (
     "own-start", "window-begin", "window-begin-of-a-toss", "timed-steps", "window-end", "window-end-of-a-toss",
@@ -59,15 +57,6 @@ def unmet_by_file(recording: Recording) -> tuple[str, ...]:
     return tuple(finding.rule.id for finding in found)
 
 
-def reader(sample_time: float | None = None, *, verify: bool = True) -> Reader:
-    """How evaluations read files: each with the rules that it breaks.
-
-    sample_time  at which positions are compared [s]; None: the default, but for scenes that have a time of their own
-    """
-    time = DEFAULT_S if sample_time is None else sample_time
-    return Reader(time, unmet_by_file, verify, own_times=sample_time is None)
-
-
 class Protocol:
     """The rules that a set of recordings does not meet, for the whole set and for groups of it.
 
@@ -76,7 +65,7 @@ class Protocol:
     """
 
     def __init__(self, recordings: Sequence[Run]) -> None:
-        shells = [_shell(cast(Recording, one)) for one in recordings]  # a point's facts are those that a summary has
+        shells = [_shell(one) for one in recordings]
         by_point = Counter((f.of, f.rule.id) for f in check(shells, [_rules(Scope.point)]).findings)
         run_ids = {id(shell): one.provenance.run_id for shell, one in zip(shells, recordings, strict=True)}
         self._points = [
@@ -117,7 +106,7 @@ def _rules(scope: Scope) -> RuleSet:
     return replace(everything, rules=tuple(r for r in everything.rules if r.of is scope and r.level is Level.error))
 
 
-def _shell(recording: Recording) -> Integrity:
+def _shell(recording: Described) -> Integrity:
     # the evaluation has verified the file; nothing of it is looked at again
     return Integrity(
         path=recording.path, problems=Problems(), recording=recording, not_opened="", scan=None,

@@ -23,7 +23,15 @@ from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from gpusimbench.evaluator.compare.compare import Result
     from gpusimbench.evaluator.compare.finding import Settings
+    from gpusimbench.evaluator.compare.history.history import History
+    from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.inputs.reader import Reader
+    from gpusimbench.evaluator.render.document import Document
 
 _GATES = "throughput,memory,physics,validity,determinism,episodes"
 _OF_TWO_SETS = {"episodes", "lengths"}
@@ -162,44 +170,31 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         check_target(str(target) if target else None)
     if arguments.history:
         return _run_history(arguments, settings, command)
+    return _run_sets(arguments, settings, command)
+
+
+def _run_sets(arguments: argparse.Namespace, settings: Settings, command: str) -> int:
+    """Compare two sets; returns the exit code."""
     if arguments.html:
         raise UsageError("--html needs --history; for two sets, use --markdown or --json")
     base, head = _given(arguments)
 
-    from gpusimbench.evaluator.check.protocol import reader
     from gpusimbench.evaluator.compare.compare import compare
+    from gpusimbench.evaluator.compare.document import comment, full, short
+    from gpusimbench.evaluator.compare.json import dump_json
+    from gpusimbench.evaluator.compare.junit import junit
     from gpusimbench.evaluator.compare.sides import read_sides
-    from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.render.markdown import render_markdown
 
-    work = Work(store=store_of(arguments))
-    how = reader(arguments.sample_time, verify=not arguments.no_verify)
-    sides = read_sides(expand(base), expand(head), how, work)
-    result = compare(*sides, settings, work, arguments.across)
-    if work.store:
-        work.store.prune()
-    for _, failure in result.unreadable:
-        complain("gsb-compare", str(failure.error))
-
-    if arguments.json != "-":
-        from gpusimbench.evaluator.compare.document import full, short
-        from gpusimbench.evaluator.render.terminal import print_document
-
-        print_document(full(result) if arguments.all else short(result), sys.stdout)
-    if arguments.json:
-        from gpusimbench.evaluator.compare.json import dump_json
-
-        write_json(arguments.json, dump_json(result))
-    if arguments.markdown:
-        from gpusimbench.evaluator.compare.document import comment
-        from gpusimbench.evaluator.render.markdown import render_markdown
-
-        write_file(arguments.markdown, render_markdown(comment(result, command)))
-    if arguments.junit:
-        from gpusimbench.evaluator.compare.junit import junit
-
-        write_file(arguments.junit, junit(result))
-    return int(result.exit_code)
+    work, reader = _reading(arguments)
+    result = compare(*read_sides(expand(base), expand(head), reader, work), settings, work, arguments.across)
+    files = [
+        (arguments.markdown, lambda: render_markdown(comment(result, command))),
+        (arguments.junit, lambda: junit(result)),
+    ]
+    shown = full if arguments.all else short
+    return _present(arguments, work, result, lambda: shown(result), lambda: dump_json(result), files)
 
 
 def _run_history(arguments: argparse.Namespace, settings: Settings, command: str) -> int:
@@ -211,40 +206,49 @@ def _run_history(arguments: argparse.Namespace, settings: Settings, command: str
     if arguments.gate and (unfit := _OF_TWO_SETS & {axis.value for axis in settings.gates}):
         raise UsageError(f"--history has no curves of {' and '.join(sorted(unfit))}: compare two sets by them")
 
-    from gpusimbench.evaluator.check.protocol import reader
+    from gpusimbench.evaluator.compare.history.document import full, short
     from gpusimbench.evaluator.compare.history.history import trace
+    from gpusimbench.evaluator.compare.history.json import dump_json
     from gpusimbench.evaluator.compare.history.points import read_points
-    from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.render.html import render_page
+    from gpusimbench.evaluator.render.markdown import render_markdown
 
-    work = Work(store=store_of(arguments))
-    how = reader(arguments.sample_time, verify=not arguments.no_verify)
-    found = read_points(arguments.history, how, work)
-    history = trace(found, settings, work, gated=arguments.gate is not None)
+    work, reader = _reading(arguments)
+    history = trace(read_points(arguments.history, reader, work), settings, work, gated=arguments.gate is not None)
+    files = [
+        (arguments.html, lambda: render_page(full(history, command))),
+        (arguments.markdown, lambda: render_markdown(full(history, command))),
+    ]
+    shown = full if arguments.all else short
+    return _present(arguments, work, history, lambda: shown(history), lambda: dump_json(history), files)
+
+
+def _reading(arguments: argparse.Namespace) -> tuple[Work, Reader]:
+    from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.inputs.reader import Reader
+
+    return Work(store=store_of(arguments)), Reader(arguments.sample_time, verify=not arguments.no_verify)
+
+
+def _present(
+    arguments: argparse.Namespace, work: Work, found: Result | History, shown: Callable[[], Document],
+    dumped: Callable[[], str], files: Sequence[tuple[Path | None, Callable[[], str]]],
+) -> int:  # fmt: skip
+    """Print and write what was found, each made when it is asked for; returns the exit code."""
+    from gpusimbench.evaluator.render.terminal import print_document
+
     if work.store:
         work.store.prune()
-    for _, failure in history.unreadable:
+    for _, failure in found.unreadable:
         complain("gsb-compare", str(failure.error))
-
     if arguments.json != "-":
-        from gpusimbench.evaluator.compare.history.document import full, short
-        from gpusimbench.evaluator.render.terminal import print_document
-
-        print_document(full(history) if arguments.all else short(history), sys.stdout)
+        print_document(shown(), sys.stdout)
     if arguments.json:
-        from gpusimbench.evaluator.compare.history.json import dump_json
-
-        write_json(arguments.json, dump_json(history))
-    if arguments.html:
-        from gpusimbench.evaluator.compare.history.document import full
-        from gpusimbench.evaluator.render.html import render_page
-
-        write_file(arguments.html, render_page(full(history, command)))
-    if arguments.markdown:
-        from gpusimbench.evaluator.compare.history.document import full
-        from gpusimbench.evaluator.render.markdown import render_markdown
-
-        write_file(arguments.markdown, render_markdown(full(history, command)))
-    return int(history.exit_code)
+        write_json(arguments.json, dumped())
+    for path, text in files:
+        if path:
+            write_file(path, text())
+    return int(found.exit_code)
 
 
 def _given(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from gpusimbench.evaluator.compute.mapping import Mapper
     from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.results.evaluation import Evaluation
-    from gpusimbench.evaluator.runs.reader import Unreadable
     from gpusimbench.evaluator.runs.run import Run
 
 _FORMATS = ("parquet", "csv", "md", "tex")
@@ -98,11 +97,9 @@ def _formats(text: str) -> tuple[str, ...]:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
-    from gpusimbench.evaluator.check.protocol import reader
-    from gpusimbench.evaluator.read.addresses import expand, left_below
-    from gpusimbench.evaluator.results.evaluate import evaluate
-    from gpusimbench.evaluator.runs.run import Run
-    from gpusimbench.evaluator.runs.sample_time import read_sampled
+    from gpusimbench.evaluator.inputs.reader import Reader
+    from gpusimbench.evaluator.read.addresses import left_below
+    from gpusimbench.evaluator.results.evaluate import read_and_evaluate
 
     check_sample_time(arguments.sample_time)
     check_target(arguments.json)
@@ -118,16 +115,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         reportlab()
     with ExitStack() as stack:
         work = _work(arguments, stack)
-        places, reference_place = expand(arguments.files), _one(arguments.reference)
-        wanted = list(dict.fromkeys([*places, *([reference_place] if reference_place else [])]))
-        sampled = read_sampled(wanted, reader(arguments.sample_time, verify=not arguments.no_verify), work)
-        read = dict(zip(wanted, sampled.files, strict=True))
-        files = [read[place] for place in places]
-        reference = _readable(read[reference_place]) if reference_place else None
-        evaluation = evaluate(files, reference=reference, sample_time=sampled.time, shorter=sampled.shorter, work=work)
+        how = Reader(arguments.sample_time, verify=not arguments.no_verify)
+        reference = _one(arguments.reference)
+        evaluation, recordings = read_and_evaluate(arguments.files, how, reference=reference, work=work)
     if work.store:
         work.store.prune()
-    recordings = [f for f in files if isinstance(f, Run)]
     for failure in evaluation.unreadable:
         complain("gsb-eval", str(failure.error))
     for said in left_below(arguments.files):
@@ -160,14 +152,6 @@ def _one(given: Place | None) -> Place | None:
     if len(found) > 1:
         raise UsageError(f"--reference is one recording; {given} stands for {len(found)}")
     return found[0] if found else None
-
-
-def _readable(file: Run | Unreadable) -> Run:
-    from gpusimbench.evaluator.runs.reader import Unreadable
-
-    if isinstance(file, Unreadable):
-        raise file.error
-    return file
 
 
 def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> None:

@@ -19,6 +19,7 @@ from gpusimbench.evaluator.compare.seeds import pooled, seed_by_seed, seeds_said
 from gpusimbench.evaluator.compare.sides import Side
 from gpusimbench.evaluator.compare.validity import compare_validity
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.group_runs import GroupRuns
@@ -29,7 +30,6 @@ from gpusimbench.evaluator.results.timed_work import TimedWork, timed_work
 from gpusimbench.evaluator.runs.cotenancy import notes as cotenant_notes
 from gpusimbench.evaluator.runs.cotenancy import with_peers
 from gpusimbench.evaluator.runs.groups import group, status_notes
-from gpusimbench.evaluator.runs.reader import Unreadable
 from gpusimbench.evaluator.statistics.families import able_to_reject, holm
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.progress import each

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
+from gpusimbench.evaluator.inputs.sample_time import notes_on, read_sampled
 from gpusimbench.evaluator.results.evaluate import without_copies
-from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.evaluator.runs.sample_time import notes_on, read_sampled
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place
 
@@ -30,10 +30,8 @@ class Side:
 
 def read_sides(base: Sequence[Place], head: Sequence[Place], reader: Reader, work: Work) -> tuple[Side, Side]:
     """Read both sets; UsageError where a run is in both."""
-    wanted = list(dict.fromkeys([*base, *head]))
-    sampled = read_sampled(wanted, reader, work)
-    read = dict(zip(wanted, sampled.files, strict=True))
-    one, other = (_side([read[place] for place in places]) for places in (base, head))
+    sampled = read_sampled([*base, *head], reader, work)
+    one, other = (_side([sampled.files[place] for place in places]) for places in (base, head))
     one = replace(one, notes=(*one.notes, *notes_on(sampled.shorter, sampled.time, (*one.files, *other.files))))
     ours = {file.provenance.run_id: file for file in one.files}
     for file in other.files:

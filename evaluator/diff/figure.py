@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from gpusimbench.evaluator.diff.result import Change, Difference, Divergence
 from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.render.figures import axis, lines, palette
-from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
+from gpusimbench.evaluator.render.figures.svg import element, figure, number, open_path, text, title
 from gpusimbench.schemas.text import printable
 
 _WIDTH, _LEFT, _RIGHT = 640.0, 84.0, 20.0
@@ -95,7 +95,7 @@ def _distances(found: Difference, times: tuple[float, float]) -> list[str]:
         points = [(_x(t, times), y(d)) for t, d in zip(growth.times, values, strict=True) if d]
         if points:
             marks = [lines.mark(index, *p) for p in points] if len(points) <= _MARKED_POINTS else []
-            parts.append(element("g", title(printable(name)), lines.path(index, _path(points)), *marks))
+            parts.append(element("g", title(printable(name)), lines.path(index, open_path(points)), *marks))
         place = _LEFT + 10, _TOP + 16 + 16 * index
         parts.append(lines.path(index, f"M{number(place[0])} {number(place[1])}h26"))
         parts.append(lines.mark(index, place[0] + 13, place[1]))
@@ -134,7 +134,3 @@ def _stairs(changes: Sequence[Change], dt: float, times: tuple[float, float], pa
         x, y = _x(change.step * dt, times), bottom - _LOWER * change.count / pairs
         data += f"H{number(x)}V{number(y)}" if data else f"M{number(x)} {number(y)}"
     return f"{data}H{number(_LEFT + _SIDE)}"
-
-
-def _path(points: Sequence[tuple[float, float]]) -> str:
-    return "M" + "L".join(f"{number(x)} {number(y)}" for x, y in points)

@@ -69,7 +69,7 @@ def _clip(group: Group[Run], title: str) -> Clip | str:
     try:
         clip = make_clip([Recording(path) for path in paths], title=title, budget=_CLIP_BYTES)
     except _UNREADABLE as error:
-        # numbers of a stranger that numpy cannot take, too; evaluator.runs.reader reads them the same way
+        # numbers of a stranger that numpy cannot take, too; evaluator.inputs.reader reads them the same way
         return str(error) or type(error).__name__
     return clip
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.read.actions import (
     ActionContents,
     action_names,
-    apart_by_design,
     check_actions,
     described_generator,
     read_actions,
 )
+from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.read.digests import digest_states
 from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
 from gpusimbench.evaluator.read.hardware import HardwareTrace, read_hardware
@@ -43,10 +43,8 @@ from gpusimbench.evaluator.read.streams import (
 )
 from gpusimbench.evaluator.read.varied import Factors, factors_of
 from gpusimbench.schemas import checks, topics
-from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.mcap.declarations import Channel
 from gpusimbench.schemas.mcap.reader import Container
@@ -59,21 +57,11 @@ from gpusimbench.schemas.view.geometry import GEOMETRY, Look, look_of
 _KEPT_BYTES = 16 << 20  # of the state hashes of a phase, which are read several times
 
 
-class Recording:
-    """A recording, opened for reading.
-
-    path           of the file, or its location
-    status         complete, incomplete (no end record), failed (the run said why) or invalid (a validity gate fired)
-    reason         why the status is not "complete"
-    cause          what kind of thing it was: "device memory", "buffer", "timeout", ...; empty where nothing is said
-    configuration  what was asked
-    provenance     by whom, where, with what software
-    simulation     what the simulator said of itself; None where the run ended before it was built
-    content_hash   the identity that the end record claims, empty without one; `verify` checks it
-    """
+class Recording(Described):
+    """A recording, opened for reading; `verify` checks its content hash."""
 
     def __init__(self, path: str | Place, source: Source | None = None) -> None:
-        self.path: Place = place(path)
+        self.path = place(path)
         self._container = Container(self.path, source)
         self._messages = Messages(self._container)
         self._json = checks.Budget()
@@ -85,9 +73,8 @@ class Recording:
                 f"{self.path}: cut short before its provenance was written; nothing can be said of it"
             )
         self.provenance = self._named(Provenance.from_json, text)
-        self.configuration: RunConfiguration = self.provenance.configuration
         text = self._container.attachment(SIMULATION)
-        self.simulation: Simulation | None = self._named(Simulation.from_json, text) if text is not None else None
+        self.simulation = self._named(Simulation.from_json, text) if text is not None else None
         self._check_origins()
         self._end = self._read_end()
         if self._end is None:
@@ -99,21 +86,11 @@ class Recording:
             if self.status not in ("complete", "failed", "invalid"):
                 raise DamagedRecording(f"{self.path}: the end record has no status")
         self.cause = "" if self._end is None else _cause(self._end.cause)
-        self.content_hash: str = self._end.content_hash if self._end is not None else ""
+        self.content_hash = self._end.content_hash if self._end is not None else ""
 
     def __repr__(self) -> str:
         c = self.configuration
         return f"<Recording {c.simulator} {c.scene} n_env={c.n_env} run={c.run_index} {self.status}>"
-
-    @property
-    def usable(self) -> bool:
-        """Whether metrics may be computed from it: the run ended well and nothing was lost."""
-        return self.status == "complete" and not self.dropouts
-
-    @property
-    def fields(self) -> tuple[StateField, ...]:
-        """The state fields, in recording order; empty where the run ended before the simulator was built."""
-        return self.simulation.fields if self.simulation else ()
 
     def state(self, group: str, field: str) -> StateArray:
         """A state field, shape [step, env, item, width], read when indexed; KeyError names the recorded ones."""
@@ -136,11 +113,6 @@ class Recording:
     def action_names(self) -> tuple[str, ...]:
         """Names of the recorded action streams."""
         return action_names(self._messages)
-
-    @property
-    def apart_by_design(self) -> str:
-        """Why the environments differ whatever the engine does; empty where they should be alike."""
-        return apart_by_design(self.action_names, self.fields, self.configuration)
 
     def actions(self, name: str) -> NDArray[np.floating]:
         """An action stream, shape [step, env, action]; row i leads from the state of step i to the next.

@@ -9,13 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.check.protocol import Protocol, Unmet, reader
+from gpusimbench.evaluator.check.protocol import Protocol, Unmet
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.compute.work import HERE, Work
+from gpusimbench.evaluator.inputs.reader import DEFAULT_S, Reader, Unreadable
+from gpusimbench.evaluator.inputs.sample_time import notes_on, read_sampled
 from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.questions import Probed, answers
+from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.accumulation import accumulations
 from gpusimbench.evaluator.results.canonical import laws
@@ -38,9 +41,7 @@ from gpusimbench.evaluator.results.validity import validity_of
 from gpusimbench.evaluator.runs import cotenancy
 from gpusimbench.evaluator.runs.groups import Group, group, status_notes
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
-from gpusimbench.evaluator.runs.reader import Unreadable
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, notes_on
 from gpusimbench.evaluator.runs.toss_motion import (
     errors_of,
     local_errors_of,
@@ -64,7 +65,25 @@ class _Found:
 
 def evaluate_files(paths: Iterable[Place], *, sample_time: float = DEFAULT_S) -> Evaluation:
     """Every metric of every group of some recordings, whose digests are taken on trust; see `evaluate`."""
-    return evaluate(map(reader(sample_time, verify=False), paths), sample_time=sample_time)
+    return evaluate(map(Reader(sample_time, verify=False), paths), sample_time=sample_time)
+
+
+def read_and_evaluate(
+    given: Sequence[Place], reader: Reader, *, reference: Place | None = None, work: Work = HERE
+) -> tuple[Evaluation, list[Run]]:
+    """Every metric of every group of some recordings, and the runs that could be read, copies too; see `evaluate`.
+
+    given      paths, folders, addresses, or patterns of them
+    reference  recording to compare with; its own error is raised where it cannot be read
+    """
+    places = expand(given)
+    sampled = read_sampled([*places, *([reference] if reference else [])], reader, work)
+    compared = sampled.files[reference] if reference else None
+    if isinstance(compared, Unreadable):
+        raise compared.error
+    files = [sampled.files[place] for place in places]
+    evaluation = evaluate(files, reference=compared, sample_time=sampled.time, shorter=sampled.shorter, work=work)
+    return evaluation, [file for file in files if isinstance(file, Run)]
 
 
 def evaluate(
@@ -82,7 +101,7 @@ def evaluate(
     files        in any order; copies of one run count once
     reference    real trials, or a simulation to compare with; where None, the real trials among the files
     sample_time  simulated time that the files were read for [s]
-    shorter      by scene, the time that those of this scene were read for instead: see runs.sample_time
+    shorter      by scene, the time that those of this scene were read for instead: see inputs.sample_time
     work         where distances are computed
     """
     files = list(files)

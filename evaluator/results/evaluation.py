@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gpusimbench.evaluator.check.protocol import Unmet
+from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.probe.questions import Probed
 from gpusimbench.evaluator.results.accumulation import Accumulation
 from gpusimbench.evaluator.results.convergence import Convergence
@@ -14,7 +15,6 @@ from gpusimbench.evaluator.results.ranking import Comparison
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map
 from gpusimbench.evaluator.results.sweeps import Sweep
-from gpusimbench.evaluator.runs.reader import Unreadable
 
 SCHEMA_VERSION = 1
 """Version of the JSON that ``gsb-eval --json`` prints."""

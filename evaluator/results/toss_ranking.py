@@ -88,7 +88,7 @@ def ranked(results: Sequence[GroupResult], timed: Sequence[GroupResult] = ()) ->
 
     timed  further groups, whose throughputs may belong to these errors
     """
-    found = {r.label: _per_toss(r) for r in results if known(r.metrics[TOSS_POSITION.name].value) is not None}
+    found = {r.label: errors_by_toss(r) for r in results if known(r.metrics[TOSS_POSITION.name].value) is not None}
     if not found:
         return []
     shared = set.intersection(*(set(errors) for errors in found.values()))
@@ -131,7 +131,7 @@ def beaten_by(order: Sequence[Ranked]) -> dict[str, str]:
 
 def _alike(one: GroupResult, other: GroupResult) -> bool:
     # whether the tosses do not tell the errors of two groups apart
-    errors = (_per_toss(one), _per_toss(other))
+    errors = (errors_by_toss(one), errors_by_toss(other))
     both = sorted(errors[0].keys() & errors[1].keys())
     return bool(both) and paired(*([of[toss] for toss in both] for of in errors)).p_value >= LEVEL
 
@@ -140,7 +140,7 @@ def _fps(result: GroupResult) -> float:
     return ranked_throughput(result.metrics[FPS.name])
 
 
-def _per_toss(result: GroupResult) -> dict[int, float]:
+def errors_by_toss(result: GroupResult) -> dict[int, float]:
     """Errors of position [cm] by the number of the toss."""
     details = result.metrics[TOSS_POSITION.name].of(OverTosses)
     return dict(zip(details.numbers, details.per_toss, strict=True))

@@ -9,7 +9,7 @@ from gpusimbench.evaluator.metrics.levels import Verdict
 from gpusimbench.evaluator.metrics.lost_cubes import Board
 from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.read.actions import apart_by_design
+from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.read.stamp import Stamp
@@ -21,8 +21,6 @@ from gpusimbench.evaluator.runs.positions import Positions
 from gpusimbench.evaluator.runs.spread import Spread
 from gpusimbench.evaluator.runs.state_hashes import Histories
 from gpusimbench.evaluator.runs.sunk_cubes import Sunk
-from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import Provenance, Simulation
 from gpusimbench.schemas.trial_units import UnitDoubt
@@ -72,7 +70,7 @@ class OverflowSummary:
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(Described):
     """One recording, read and closed: what it says of itself, and what was measured in it.
 
     Of every recording, with attributes as `Recording` has them:
@@ -155,23 +153,3 @@ class Run:
     cotenants: CoTenants = CoTenants()
     episodes: EpisodeCounts | Missing = NOT_MEASURED
     arrays: dict[str, ArrayHistory] = field(default_factory=dict)
-
-    @property
-    def configuration(self) -> RunConfiguration:
-        """What was asked."""
-        return self.provenance.configuration
-
-    @property
-    def apart_by_design(self) -> str:
-        """Why the environments differ whatever the engine does; empty where they should be alike."""
-        return apart_by_design(self.action_names, self.fields, self.configuration)
-
-    @property
-    def fields(self) -> tuple[StateField, ...]:
-        """The state fields, in recording order."""
-        return self.simulation.fields if self.simulation else ()
-
-    @property
-    def usable(self) -> bool:
-        """Whether metrics may be computed from it: the run ended well and nothing was lost."""
-        return self.status == "complete" and not self.dropouts

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.mcap.records import ChannelRecord, Cursor, Op, Record, Schema, parse
+from gpusimbench.schemas.mcap.records import ChannelRecord, Cursor, Op, Record, Schema, damaged, parse
 
 MAX_DECLARED_BYTES = 64 << 20
 """Of all schemas and channels of a file together, each taken once."""
@@ -113,17 +113,17 @@ class Declarations:
         found = self._new.parse(record, "" if record.opcode == Op.SCHEMA else self.schemas.get(schema, ""))
         if isinstance(found, Schema):
             if self.schemas.setdefault(found.id, found.name) != found.name:
-                raise self._damaged(f"schema {found.id} has two names")
+                raise damaged(self._place, f"schema {found.id} has two names")
         elif found is not None:
             self._declare(found)
 
     def _declare(self, found: ChannelRecord) -> None:
         if self.topics.setdefault(found.id, found.topic) != found.topic:
-            raise self._damaged(f"channel {found.id} has two topics")
+            raise damaged(self._place, f"channel {found.id} has two topics")
         self.whole &= found.schema_id == 0 or found.schema_id in self.schemas
         channel = Channel(found.topic, self.schemas.get(found.schema_id, ""), found.metadata)
         if self.channels.setdefault(found.topic, channel) != channel:
-            raise self._damaged(f"the topic {found.topic} is declared twice, not the same")
+            raise damaged(self._place, f"the topic {found.topic} is declared twice, not the same")
         if found.id not in (numbers := self.numbers.setdefault(found.topic, [])):
             numbers.append(found.id)
 
@@ -134,6 +134,3 @@ class Declarations:
             and all(self.topics.get(number) == topic for number, topic in other.topics.items())
             and all(self.channels.get(topic) == channel for topic, channel in other.channels.items())
         )
-
-    def _damaged(self, what: str) -> DamagedRecording:
-        return DamagedRecording(f"{self._place}: {what}")

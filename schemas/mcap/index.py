@@ -27,6 +27,7 @@ from gpusimbench.schemas.mcap.records import (
     Op,
     Record,
     Statistics,
+    damaged,
     parse,
 )
 from gpusimbench.schemas.mcap.walk import split
@@ -131,7 +132,7 @@ class _Summary:
             self._take(record)
             end = record.end
         if end != begin + len(section):
-            raise self._damaged(f"a record at byte {end} is shorter than it says")
+            raise damaged(self._place, f"a record at byte {end} is shorter than it says")
         self._chunks.sort(key=lambda c: c.chunk.record)
         self._check_places()
         if self._counts != self._found() or not self._declared.whole:
@@ -141,7 +142,7 @@ class _Summary:
     def _take(self, record: Record) -> None:
         opcode, cursor = record.opcode, record.cursor(self._place)
         if opcode in _NOT_HERE:
-            raise self._damaged(f"its summary has a record of type {opcode}, which none can have")
+            raise damaged(self._place, f"its summary has a record of type {opcode}, which none can have")
         if opcode in (Op.SCHEMA, Op.CHANNEL):
             self._declared.take(record)
             self._channels += opcode == Op.CHANNEL
@@ -165,28 +166,28 @@ class _Summary:
         channels, places = array("H", [c for c, _ in listed]), array("Q", [at for _, at in listed])
         content, end = said.start + RECORD_HEAD, said.start + said.length
         if said.length != RECORD_HEAD + _CHUNK_HEAD + len(said.compression.encode()) + said.stored:
-            raise self._damaged(f"its index says of the chunk at byte {said.start} what cannot be")
+            raise damaged(self._place, f"its index says of the chunk at byte {said.start} what cannot be")
         if said.uncompressed_size > decompression.limit(said.compression, said.stored):
-            raise self._damaged(
-                f"its index says of the chunk at byte {said.start} that it becomes more than it can hold"
+            raise damaged(
+                self._place, f"its index says of the chunk at byte {said.start} that it becomes more than it can hold"
             )
         chunk = Chunk(said.compression, said.uncompressed_size, content, end - said.stored, end)
         found = IndexedChunk(chunk, said.first_time, said.last_time, channels, places, said.index_bytes)
         # each index takes a few bytes, and each message that is listed: what can be announced is less than the file
-        behind = end
+        behind, wrong = end, f"its index says of the messages of the chunk at byte {said.start} what cannot be"
         for at in sorted(places):
             if not behind <= at <= end + said.index_bytes - _INDEX_HEAD:
-                raise self._damaged(f"its index says of the messages of the chunk at byte {said.start} what cannot be")
+                raise damaged(self._place, wrong)
             behind = at + _INDEX_HEAD
         if found.messages > said.uncompressed_size // (RECORD_HEAD + MESSAGE_HEAD.size):
-            raise self._damaged(f"its index says of the messages of the chunk at byte {said.start} what cannot be")
+            raise damaged(self._place, wrong)
         return found
 
     def _attachment(self, said: AttachmentIndex) -> Attachment:
         content = said.start + RECORD_HEAD
         begin = content + 16 + 4 + len(said.name.encode()) + 4 + len(said.media_type.encode()) + 8
         if said.start + said.length != begin + said.data_size + 4:
-            raise self._damaged(f"its index says of the attachment {said.name} what cannot be")
+            raise damaged(self._place, f"its index says of the attachment {said.name} what cannot be")
         end = begin + said.data_size
         return Attachment(said.name, said.media_type, content, begin, end, said.log_time, said.create_time)
 
@@ -197,8 +198,5 @@ class _Summary:
         behind = len(MAGIC)
         for begin, end in sorted(taken):
             if begin < behind or end > self._data_end:
-                raise self._damaged(f"its index places a record at byte {begin}, where none can be")
+                raise damaged(self._place, f"its index places a record at byte {begin}, where none can be")
             behind = end
-
-    def _damaged(self, what: str) -> DamagedRecording:
-        return DamagedRecording(f"{self._place}: {what}")

@@ -341,6 +341,11 @@ class Attachment:
         return cls(name, media_type, record, cursor.at, cursor.at + size, log_time, create_time)
 
 
+def damaged(place: Place, what: str) -> DamagedRecording:
+    """The error of a file at a place, with what is wrong."""
+    return DamagedRecording(f"{place}: {what}")
+
+
 def check_head(place: Place, opcode: int, record: memoryview, length: int) -> None:
     """DamagedRecording where a record is not of that type and length [byte, without its head]."""
     if record[0] != opcode or int.from_bytes(record[1:RECORD_HEAD], "little") != length:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from struct import Struct
 from typing import Literal, NamedTuple
 
-from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mcap.decompression import decompress
 from gpusimbench.schemas.mcap.records import (
     MAGIC,
@@ -23,6 +22,7 @@ from gpusimbench.schemas.mcap.records import (
     ChunkHead,
     Op,
     Record,
+    damaged,
 )
 from gpusimbench.schemas.source import Source
 
@@ -127,9 +127,9 @@ class Walk:
         opcode, first = head.opcode, head.begin == len(MAGIC)
         if self._report is None:
             if first != (opcode == Op.HEADER):
-                raise self._damaged("the file does not begin with a header, or has a second one")
+                raise damaged(self._place, "the file does not begin with a header, or has a second one")
             if not self.in_data and opcode in OF_DATA:
-                raise self._damaged("data follow behind the end of the data")
+                raise damaged(self._place, "data follow behind the end of the data")
             return True
         if first and opcode != Op.HEADER:
             self._report("record", "the first record is no header")
@@ -154,7 +154,7 @@ class Walk:
         head = ChunkHead.read(cursor)
         cursor.take(head.chunk.end - head.chunk.begin)
         if cursor.left and self._report is not None:
-            raise self._damaged(f"a chunk at byte {record.begin} holds another number of bytes than it says")
+            raise damaged(self._place, f"a chunk at byte {record.begin} holds another number of bytes than it says")
         return head
 
     def inside(self, record: Record, head: ChunkHead) -> Iterator[Record]:
@@ -206,7 +206,7 @@ class Walk:
         cursor = record.cursor(self._place)
         found = Attachment.read(cursor)
         if found.end - found.begin + 4 > cursor.left or (self._report and found.end - found.begin + 4 != cursor.left):
-            raise self._damaged(f"the attachment {found.name} holds another number of bytes than it says")
+            raise damaged(self._place, f"the attachment {found.name} holds another number of bytes than it says")
         return found
 
     def attached(self, record: Record, found: Attachment) -> tuple[memoryview, bool]:
@@ -231,12 +231,9 @@ class Walk:
 
     def _wrong(self, fault: Fault, what: str) -> None:
         if self._report is None:
-            raise self._damaged(what)
+            raise damaged(self._place, what)
         self._report(fault, what)
 
     def _skip(self, fault: Fault, what: str) -> None:
         if self._report is not None:
             self._report(fault, what)
-
-    def _damaged(self, what: str) -> DamagedRecording:
-        return DamagedRecording(f"{self._place}: {what}")

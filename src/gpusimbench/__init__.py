@@ -120,21 +120,12 @@ def evaluate(
     and the files that could not be read, which do not stop the others. Raises the reference's own error where that
     cannot be read, and Unreachable where a pattern's file system cannot be reached.
     """
-    from gpusimbench.evaluator.check.protocol import reader
-    from gpusimbench.evaluator.compute.work import HERE
-    from gpusimbench.evaluator.read.addresses import expand
-    from gpusimbench.evaluator.results import evaluate as computing
-    from gpusimbench.evaluator.runs.reader import Unreadable
-    from gpusimbench.evaluator.runs.sample_time import read_sampled
+    from gpusimbench.evaluator.inputs.reader import Reader
+    from gpusimbench.evaluator.results.evaluate import read_and_evaluate
 
-    places = expand([place(file) for file in files])
-    compared = [place(reference)] if reference is not None else []
-    sampled = read_sampled([*places, *compared], reader(sample_time, verify=verified), HERE)
-    other = sampled.files[-1] if compared else None
-    if isinstance(other, Unreadable):
-        raise other.error
-    read = sampled.files[: len(places)]
-    return computing.evaluate(read, reference=other, sample_time=sampled.time, shorter=sampled.shorter)
+    compared = place(reference) if reference is not None else None
+    how = Reader(sample_time, verify=verified)
+    return read_and_evaluate([place(file) for file in files], how, reference=compared)[0]
 
 
 def compare(
@@ -152,15 +143,15 @@ def compare(
     Returns a Result: a comparison for each configuration that both have, with its findings, and an exit code. Raises
     UsageError where a run is in both sets, or where a folder has no recordings.
     """
-    from gpusimbench.evaluator.check.protocol import reader
     from gpusimbench.evaluator.compare import compare as comparing
     from gpusimbench.evaluator.compare.finding import Settings
     from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.compute.work import HERE
+    from gpusimbench.evaluator.inputs.reader import Reader
     from gpusimbench.evaluator.read.addresses import expand
 
     ours, theirs = expand(list(map(place, base))), expand(list(map(place, head)))
-    sides = read_sides(ours, theirs, reader(sample_time), HERE)
+    sides = read_sides(ours, theirs, Reader(sample_time), HERE)
     return comparing.compare(*sides, Settings(alpha=alpha, threshold=threshold), HERE, across)
 
 

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compute.cache.store import Store
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
-from gpusimbench.evaluator.runs.reader import Reader
 from tests.pages import print_all
 from tests.synthetic import grid, write_recording
 
@@ -73,6 +72,6 @@ def test_it_is_kept(tmp_path: Path) -> None:
     """Give the same from a store."""
     files = sweep(tmp_path, {4: 0.01, 8: 0.01}, runs=2)
     work = Work(store=Store(tmp_path / "cache"))
-    read = [Reader(5.0, unmet_by_file)(file) for file in files]
+    read = [Reader(5.0)(file) for file in files]
     first, second = (to_json(evaluate(read, work=work)) for _ in range(2))
     assert first == second == to_json(evaluate(read))

@@ -19,18 +19,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compute.cache import store as store_module
 from gpusimbench.evaluator.compute.cache.codec import classes_of, decode, encode
 from gpusimbench.evaluator.compute.cache.store import Store, default_folder
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs import known_files
+from gpusimbench.evaluator.inputs.known_files import read_all
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.read import stamp
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.json import dump_json
 from gpusimbench.evaluator.results.evaluate import evaluate
-from gpusimbench.evaluator.runs import known_files
-from gpusimbench.evaluator.runs.known_files import read_all
-from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from tests.conftest import Command
 
@@ -65,7 +64,7 @@ def unread(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
 
 def read_one(path: Path, cache: Path, *, sample_time: float = 1.0, verify: bool = True) -> Run | Unreadable:
     """A file as a command reads it."""
-    (found,) = read_all([path], Reader(sample_time, unmet_by_file, verify=verify), Work(store=Store(cache)))
+    (found,) = read_all([path], Reader(sample_time, verify=verify), Work(store=Store(cache)))
     return found
 
 
@@ -211,7 +210,7 @@ def test_entries_have_a_largest_size(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_a_result_of_another_kind_is_none(tmp_path: Path, small: Path) -> None:
     """Read a file whose entry holds something else, as a version of tomorrow might."""
     store = Store(tmp_path)
-    known = known_files.KnownFiles(store, Reader(1.0, unmet_by_file))
+    known = known_files.KnownFiles(store, Reader(1.0))
     seen = stamp.stamp_of(small)
     assert seen is not None
     store.put(store.key(stamp.Stamp, seen), "hash")
@@ -252,10 +251,10 @@ def test_a_known_file_is_not_opened(
 ) -> None:
     """Evaluate a set a second time without opening a file, with the same document to the last digit."""
     work = Work(store=Store(tmp_path))
-    before = dump_json(evaluate(read_all(small_set, Reader(1.0, unmet_by_file), work), sample_time=1.0))
+    before = dump_json(evaluate(read_all(small_set, Reader(1.0), work), sample_time=1.0))
     unread()
     monkeypatch.delattr(Store, "put")  # all that is asked for was kept, and is found
-    assert dump_json(evaluate(read_all(small_set, Reader(1.0, unmet_by_file), work), sample_time=1.0)) == before
+    assert dump_json(evaluate(read_all(small_set, Reader(1.0), work), sample_time=1.0)) == before
     with pytest.raises(AssertionError, match="a file was opened"):
         read_one(small_set[0], tmp_path, sample_time=0.5)
 
@@ -323,7 +322,7 @@ def test_a_file_read_elsewhere_is_not_kept(tmp_path: Path, small_set: list[Path]
         return [replace(function(small_set[1]), stamp=stamp.Stamp(1, 2, 3, 4, 5)) for _ in items]
 
     work = Work(elsewhere, Store(tmp_path))
-    assert len(list(read_all([small_set[0]], Reader(1.0, unmet_by_file), work))) == 1
+    assert len(list(read_all([small_set[0]], Reader(1.0), work))) == 1
     assert not list(tmp_path.rglob("*.result"))
 
 

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.cli.compare import main
 from gpusimbench.evaluator.statistics import exchange
 from gpusimbench.schemas.provenance import PROVENANCE
@@ -607,8 +606,8 @@ def test_exchanging_base_and_head_mirrors_every_verdict(
     from gpusimbench.evaluator.compare.finding import Settings
     from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.compute.work import HERE
+    from gpusimbench.evaluator.inputs.reader import Reader
     from gpusimbench.evaluator.read.addresses import expand
-    from gpusimbench.evaluator.runs.reader import Reader
 
     folder = tmp_path_factory.mktemp("mirror")
     bad = {"status": "INVALID", "reason": "overflow", "cause": "BUFFER"}
@@ -620,7 +619,7 @@ def test_exchanging_base_and_head_mirrors_every_verdict(
     )
     places = expand([one]), expand([other])
     results = [
-        compare(*read_sides(a, b, Reader(5.0, unmet_by_file), HERE), Settings(), HERE)
+        compare(*read_sides(a, b, Reader(5.0), HERE), Settings(), HERE)
         for a, b in (places, (places[0][::-1], places[1][::-1]), (places[1], places[0]))
     ]
     forth, shuffled, back = ([(f.name, f.change.value) for f in result.findings] for result in results)

@@ -13,9 +13,9 @@ from gpusimbench.evaluator.compare.distances import Distances, distances, has_po
 from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
 from gpusimbench.evaluator.compare.outcome import compare_outcomes, compare_spread
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.metrics import METRICS
-from gpusimbench.evaluator.runs.reader import read_run
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.schemas.fields import body_field, joint_field
 

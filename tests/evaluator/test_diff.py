@@ -19,12 +19,12 @@ from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
 from gpusimbench.evaluator.diff.numbers import Pairing
 from gpusimbench.evaluator.diff.result import Basis, Change, Difference, StepRange, Verdict
+from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.details import Equality
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import EQUALITY_RUNS
-from gpusimbench.evaluator.runs.reader import read_run
 from gpusimbench.recorder.capture import state_work as capture
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError

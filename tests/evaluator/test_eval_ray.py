@@ -11,14 +11,13 @@ from typing import Any
 
 import pytest
 
-from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compute import cluster as cluster_module
 from gpusimbench.evaluator.compute.cluster import Cluster
 from gpusimbench.evaluator.compute.work import HERE, Work
+from gpusimbench.evaluator.inputs.known_files import read_all
+from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.report.json import dump_json
 from gpusimbench.evaluator.results.evaluate import evaluate
-from gpusimbench.evaluator.runs.known_files import read_all
-from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import Command, searched
 
@@ -62,7 +61,7 @@ def fail(_: int) -> int:
 def test_a_node_dies(two_nodes: Any, small_set: list[Path], gsb_eval: Command) -> None:
     """Give the document of a local evaluation, from two nodes, and from two of which one is killed in the middle."""
     files = [*small_set, small_set[0].parent / "missing.mcap"]
-    expected = dump_json(evaluate(read_all(files, Reader(1.0, unmet_by_file), HERE), sample_time=1.0))
+    expected = dump_json(evaluate(read_all(files, Reader(1.0), HERE), sample_time=1.0))
     done = gsb_eval(*files, "--sample-time", 1, "--json", "-", "--no-cache", "--ray", two_nodes.address)
     assert (done.returncode, done.stdout) == (3, expected), done.stderr
 
@@ -77,9 +76,7 @@ def test_a_node_dies(two_nodes: Any, small_set: list[Path], gsb_eval: Command) -
                     killed.append(function)
                 yield result
 
-        found = evaluate(
-            read_all(files, Reader(1.0, unmet_by_file), Work(killing)), sample_time=1.0, work=Work(killing)
-        )
+        found = evaluate(read_all(files, Reader(1.0), Work(killing)), sample_time=1.0, work=Work(killing))
         assert killed
         assert dump_json(found) == expected
         assert len(set(cluster(node_of, range(3)))) == 1

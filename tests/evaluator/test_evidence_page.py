@@ -17,7 +17,14 @@ from gpusimbench.evaluator.render.document import Table, Text, walk
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
-from gpusimbench.evaluator.report.sections import comparison, consistency, deviations, divergence, dot_plot, remade
+from gpusimbench.evaluator.report.sections import (
+    comparison,
+    consistency,
+    deviations,
+    divergence,
+    dot_plot,
+    paper_tables,
+)
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -150,7 +157,7 @@ def test_paper_rows_only_when_asked(swept: Evaluation) -> None:
     found = tables_of(swept, published=True)
     assert papers(found["remade-variability"]) == ["Genesis, the paper's", "MuJoCo Warp, the paper's"]
     assert len(papers(found["capability-free-fall"])) == 3
-    section = remade.section(source(swept, published=True))
+    section = paper_tables.section(source(swept, published=True))
     assert section is not None
     (missing,) = [b.text for b in section.blocks if isinstance(b, Text) and "no complete run is here of" in b.text]
     assert "Isaac Lab" in missing
@@ -176,7 +183,7 @@ def test_nothing_of_the_published_scenes_is_no_section(apart: Evaluation) -> Non
     elsewhere = tuple(
         replace(r, group=replace(r.group, key=replace(r.group.key, scene="another"))) for r in apart.results
     )
-    assert remade.section(source(replace(apart, results=elsewhere))) is None
+    assert paper_tables.section(source(replace(apart, results=elsewhere))) is None
 
 
 def test_growth_is_drawn_with_its_fit(apart: Evaluation) -> None:

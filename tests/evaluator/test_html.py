@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gpusimbench.evaluator.inputs.reader import Unreadable, read_run
 from gpusimbench.evaluator.metrics import variability
 from gpusimbench.evaluator.metrics.density import HexGrid, marginal
 from gpusimbench.evaluator.metrics.guidelines import guidelines
@@ -44,7 +45,6 @@ from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import Comparison, Contender
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import Cloud, GroupResult, Map
-from gpusimbench.evaluator.runs.reader import Unreadable, read_run
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import DamagedRecording, GsbError
 from tests.pages import part

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from gpusimbench.evaluator.check.protocol import unmet_by_file
+from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.metrics.lost_cubes import Board, clamped
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
@@ -26,7 +26,6 @@ from gpusimbench.evaluator.report.parquet import frames
 from gpusimbench.evaluator.results.details import BetweenRuns, OffTheBoard
 from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
 from tests.pages import rows_of, tables_of, text_of
 from tests.synthetic import grid, write_recording
@@ -106,7 +105,7 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     files.append(write_recording(folder, final, run=2))
     away = grid(8)
     away[0, 0] = (-9.0, 0.0, -9.0)
-    read = Reader(5.0, unmet_by_file)
+    read = Reader(5.0)
     reference = read(write_recording(folder, away, simulator="other"))
     assert isinstance(reference, Run)
     return evaluate([read(path) for path in files], reference=reference)

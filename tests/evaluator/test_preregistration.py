@@ -59,7 +59,8 @@ def test_what_was_not_recorded_keeps_its_place(making: Any) -> None:
     assert (one.simulator, one.option, one.value, one.found.cases) == ("mujoco", "solver", "CG", 48)
     assert one.p_value == min(1.0, 9 * one.found.p_value)
     assert one.found.mean == pytest.approx(
-        np.mean(list(making.errors(one.changed).values())) - np.mean(list(making.errors(one.usual).values()))
+        np.mean(list(making.errors_by_toss(one.changed).values()))
+        - np.mean(list(making.errors_by_toss(one.usual).values()))
     )
     assert "mujoco integrator=RK4: no recording of integrator=RK4 has errors" in missing
     assert "mjx solver=CG: no recording of default has errors" in missing

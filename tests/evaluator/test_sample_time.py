@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench import compare, evaluate
-from gpusimbench.evaluator.check.protocol import reader
 from gpusimbench.evaluator.compute.work import HERE
+from gpusimbench.evaluator.inputs.reader import Reader
+from gpusimbench.evaluator.inputs.sample_time import last_common_time, read_sampled
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.runs.sample_time import last_common_time, read_sampled
 from tests.conftest import call, recorded
 from tests.synthetic import grid, write_recording
 
@@ -86,11 +86,11 @@ def test_strides(tmp_path: Path, sets: list[tuple[int, int]]) -> None:
         write_recording(tmp_path, grid(2), run=run, steps=steps, stride=stride, dt=0.01)
         for run, (steps, stride) in enumerate(sets)
     ]
-    sampled = read_sampled(files, reader(), HERE)
+    sampled = read_sampled(files, Reader(), HERE)
     ((scene, time),) = sampled.shorter.items()
     common = set.intersection(*(set(range(0, steps + 1, stride)) for steps, stride in sets))
     assert round(time / 0.01) == max(common)
-    assert all(not isinstance(file.positions, Missing) for file in sampled.files)  # type: ignore[union-attr]
+    assert all(not isinstance(file.positions, Missing) for file in sampled.files.values())  # type: ignore[union-attr]
 
 
 @given(st.lists(st.tuples(st.sampled_from([0.01, 0.004, 0.02]), st.integers(1, 40), st.integers(1, 7)), min_size=1))

@@ -19,8 +19,7 @@ from hypothesis import strategies as st
 from benchmarks.scale import report
 from benchmarks.scale_cost import Plan, Prices, Rates, extrapolate
 from benchmarks.scale_runs import record
-from gpusimbench.evaluator.check.protocol import unmet_by_file
-from gpusimbench.evaluator.runs.reader import Reader
+from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.transport.pair import MATRIX_LIMIT
 from tests.conftest import run_python, searched
@@ -77,7 +76,7 @@ def _taken(path: Path) -> tuple[int, int]:
     # bytes that stay, and at most
     gc.collect()
     tracemalloc.start()
-    read = Reader(1.0, unmet_by_file)(path)
+    read = Reader(1.0)(path)
     gc.collect()
     found = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -113,7 +112,7 @@ def test_environments_of_the_runs_all_differ(tmp_path: Path) -> None:
     """Record runs in which no two environments, and no two runs, are the same, so that nothing is left out."""
     pytest.importorskip("mujoco")
     paths = record(tmp_path, runs=2, n_env=3, steps=10)
-    reads = [Reader(0.1, unmet_by_file)(path) for path in paths]
+    reads = [Reader(0.1)(path) for path in paths]
     histories = [r.histories for r in reads if isinstance(r, Run) and r.histories]
     assert [h.n_distinct for h in histories] == [3, 3]
     assert histories[0].until(11) != histories[1].until(11)

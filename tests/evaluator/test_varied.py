@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
+from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer
@@ -23,7 +24,6 @@ from gpusimbench.evaluator.results.identity_metrics import comparable
 from gpusimbench.evaluator.runs.groups import key_of
 from gpusimbench.evaluator.runs.physics.facts import Check
 from gpusimbench.evaluator.runs.physics.measure import physics_of
-from gpusimbench.evaluator.runs.reader import read_run
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording

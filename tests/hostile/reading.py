@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.check.protocol import unmet_by_file
+from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.evaluate import evaluate
-from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import GsbError
 
@@ -127,7 +126,7 @@ def use(path: Path, other: Path, turn: int) -> None:
             with contextlib.suppress(GsbError):
                 read()
     with in_time(), contextlib.suppress(GsbError):
-        read = [Reader(5.0, unmet_by_file, verify=False)(file) for file in ([path], [path, other])[turn % 2]]
+        read = [Reader(5.0, verify=False)(file) for file in ([path], [path, other])[turn % 2]]
         evaluate(read, reference=read[0] if isinstance(read[0], Run) else None)
     with tempfile.TemporaryDirectory(dir=path.parent) as out:
         calls = command_lines(path, other, Path(out))

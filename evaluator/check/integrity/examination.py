@@ -18,6 +18,7 @@ from gpusimbench.evaluator.check.integrity.summary import check_summary
 from gpusimbench.evaluator.check.integrity.view import check_view
 from gpusimbench.evaluator.read.addresses import fetched
 from gpusimbench.evaluator.read.confirmed import unconfirmed
+from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, state_header_in
@@ -35,7 +36,7 @@ class Integrity:
 
     path        of the file
     problems    that were found
-    recording   None where it cannot be opened, and `not_opened` says why
+    recording   opened, or what remains of it; None where it cannot be opened, and `not_opened` says why
     scan        what a walk over the file's records found; None where it is no MCAP file
     provenance  None where it cannot be read; also of a file that cannot be opened otherwise
     simulation  the same
@@ -45,7 +46,7 @@ class Integrity:
 
     path: Place
     problems: Problems
-    recording: Recording | None
+    recording: Described | None
     not_opened: str
     scan: Scan | None
     provenance: Provenance | None

@@ -9,6 +9,7 @@ from enum import Enum
 from typing import Any
 
 from gpusimbench.evaluator.check.integrity import Integrity
+from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -57,6 +58,13 @@ class Fact:
 
 def recording_of(file: Integrity) -> Recording:
     """The recording, opened."""
+    if not isinstance(file.recording, Recording):
+        raise NotThere(file.not_opened)
+    return file.recording
+
+
+def described_of(file: Integrity) -> Described:
+    """What the recording says of itself, also where it was closed."""
     if file.recording is None:
         raise NotThere(file.not_opened)
     return file.recording
@@ -87,12 +95,12 @@ def simulation_of(file: Integrity) -> Simulation:
 
 def scene_of(file: Integrity) -> dict[str, Any]:
     """The scene's description."""
-    if file.scan is None and file.recording is not None:
+    if file.scan is None and isinstance(file.recording, Recording):
         return file.recording.scene
     if file.scan is None or SCENE not in file.scan.attachments:
         raise NotThere(f"there is no {SCENE}")
     if file.doubtful(SCENE):
         raise NotThere(f"{SCENE} is not what was recorded")
-    if file.recording is not None:
+    if isinstance(file.recording, Recording):
         return file.recording.scene
     return checks.load(SCENE, bytes(file.scan.attachments[SCENE]))

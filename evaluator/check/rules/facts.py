@@ -18,6 +18,7 @@ from gpusimbench.evaluator.check.rules.fact import (
     NotThere,
     Unknown,
     configuration_of,
+    described_of,
     provenance_of,
     recording_of,
     scene_of,
@@ -189,7 +190,7 @@ FACTS: dict[str, Fact] = {
     "phases": Fact(FactType.list, "phases that began and ended", _phases),
     "asked": Fact(FactType.object, "all that was asked of the run but its number", _asked),
     "status": Fact(FactType.text, "complete, failed, invalid or incomplete", lambda f: recording_of(f).status),
-    "complete": Fact(FactType.flag, "the run is complete and no data was lost", lambda f: recording_of(f).usable),
+    "complete": Fact(FactType.flag, "the run is complete and no data was lost", lambda f: described_of(f).usable),
     "run_id": Fact(FactType.text, "unique name of the run", lambda f: provenance_of(f).run_id),
     "content_hash": Fact(FactType.text, "identity of the content, by the end record", _content_hash),
     "scene_sha256": Fact(

@@ -16,9 +16,9 @@ from gpusimbench.evaluator.compare.outcome import JOINT_OUTCOMES, compare_outcom
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.validity import compare_validity
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.groups import status_notes
-from gpusimbench.evaluator.runs.reader import Unreadable
 from gpusimbench.schemas.errors import ExitCode
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.known_files import read_all
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.results.evaluate import without_copies
 from gpusimbench.evaluator.runs.cotenancy import with_peers
-from gpusimbench.evaluator.runs.known_files import read_all
-from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import UsageError

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.render.figures import axis, lines
-from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, number, text, title
+from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, number, open_path, text, title
 
 LINE_FROM = 4
 """Points of a sweep from which on a line joins them: fewer do not show what lies between."""
@@ -119,7 +119,7 @@ def _curve(curve: Curve, place: Callable[[float, float], Point], top: float) -> 
             parts.append(_ideal(curve.points, place, top))
         if curve.model:
             parts.append(_model(curve.index, curve.points, curve.model, place))
-        parts.append(lines.path(curve.index, _path(place(*p) for p in curve.points)))
+        parts.append(lines.path(curve.index, open_path(place(*p) for p in curve.points)))
     parts += [lines.mark(curve.index, *place(*p)) for p in curve.points]
     last = next((p for p in curve.points if p[0] == curve.n_max), None)
     if last:
@@ -144,7 +144,7 @@ def _ideal(points: Sequence[Point], place: Callable[[float, float], Point], top:
     """Proportional scaling from the first point to the last, or to the upper end of the axis."""
     (first, value), (last, _) = points[0], points[-1]
     last = min(last, first * top / value)
-    return element("path", d=_path([place(first, value), place(last, value * last / first)]), class_="ideal")
+    return element("path", d=open_path([place(first, value), place(last, value * last / first)]), class_="ideal")
 
 
 def _model(
@@ -153,7 +153,7 @@ def _model(
     low, high = math.log(points[0][0]), math.log(points[-1][0])
     sampled = [math.exp(low + (high - low) * i / _MODEL_POINTS) for i in range(_MODEL_POINTS + 1)]
     shown = [place(n, value) for n in sampled if (value := model(n)) > 0]
-    return element("path", d=_path(shown), class_=f"{lines.colour_class(index)} model") if len(shown) > 1 else ""
+    return element("path", d=open_path(shown), class_=f"{lines.colour_class(index)} model") if len(shown) > 1 else ""
 
 
 def _foreign(foreign: Sequence[Foreign], place: Callable[[float, float], Point]) -> list[str]:
@@ -171,7 +171,3 @@ def _foreign(foreign: Sequence[Foreign], place: Callable[[float, float], Point])
             text(one.label, x - 8 if before else x + 8, height, class_=f"small foreign-name{' end' if before else ''}")
         )
     return drawn
-
-
-def _path(points: Iterable[Point]) -> str:
-    return "M" + "L".join(f"{number(x)} {number(y)}" for x, y in points)

@@ -53,6 +53,11 @@ def figure(width: float, height: float, label: str, *children: str) -> str:
     return element("svg", *children, viewBox=box, role="img", aria_label=label, style=f"max-width:{width / 14:.1f}rem")
 
 
+def open_path(points: Iterable[Sequence[float]]) -> str:
+    """Path data of straight lines from point to point (x, y)."""
+    return "M" + "L".join(f"{number(x)} {number(y)}" for x, y in points)
+
+
 def closed_path(points: Iterable[Sequence[float]]) -> str:
     """Path data of a polygon through the points (x, y)."""
-    return "M" + "L".join(f"{number(x)} {number(y)}" for x, y in points) + "Z"
+    return f"{open_path(points)}Z"

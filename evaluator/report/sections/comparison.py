@@ -119,7 +119,7 @@ def _values(contenders: Sequence[Contender], of: Radar) -> Table:
             text = numbers.figure(value, shown.unit) if shown else f"{contender.figures.n_max:,}"
             cells.append(Cell(text, float(value), notes=(f"({of.values[contender.figures.name][axis]:.2f})",)))
         group = contender.group or contender.speed
-        rows.append(Row(tuple(cells), facets(group) if group else {}))
+        rows.append(Row(tuple(cells), facets(group.group.key) if group else {}))
     return table("radar", "Values behind the radar, and in brackets as it scales them", columns, rows, reasons.legend)
 
 

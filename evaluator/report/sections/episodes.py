@@ -43,7 +43,7 @@ def _row(source: Source, result: GroupResult, counts: list[EpisodeCounts]) -> Ro
             _mean(counts, "mean_length"),
             _mean(counts, "mean_return"),
         ),
-        facets(result),
+        facets(result.group.key),
     )
 
 

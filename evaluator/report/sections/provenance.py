@@ -29,7 +29,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.schemas.text import first
+from gpusimbench.schemas.text import cut, first
 from gpusimbench.schemas.treatment import initial_words
 
 _DEPTH = 3
@@ -53,7 +53,7 @@ def section(source: Source) -> Section | None:
 
 def _of_group(number: int, result: GroupResult, machines: _Machines) -> Section:
     blocks = tuple(_blocks(number, result, machines))
-    return Section(f"provenance-{number}", result.label, blocks, folded=True, facets=facets(result))
+    return Section(f"provenance-{number}", result.label, blocks, folded=True, facets=facets(result.group.key))
 
 
 def _blocks(number: int, result: GroupResult, machines: _Machines) -> Iterator[Block]:
@@ -97,7 +97,7 @@ def _origin(number: str, runs: str, recording: Run, label: str, machines: _Machi
     else:
         machines[place] = (label, key)
         parts += _machine(number, recording)
-    parts += [Text("Recorded by:"), Code((_shortened(" ".join(recording.provenance.argv)),))]
+    parts += [Text("Recorded by:"), Code((cut(" ".join(recording.provenance.argv), _CHARACTERS),))]
     return Section(key, title, tuple(parts))
 
 
@@ -113,7 +113,7 @@ def _machine(number: str, recording: Run) -> Iterator[Block]:
 
 
 def _records(number: int | str, caption: str, record: Mapping[str, Any]) -> Section:
-    rows = [(_shortened(name), _shortened(value)) for name, value in islice(_pairs(record), _ROWS + 1)]
+    rows = [(cut(name, _CHARACTERS), cut(value, _CHARACTERS)) for name, value in islice(_pairs(record), _ROWS + 1)]
     if len(rows) > _ROWS:
         rows = [*rows[:_ROWS], ("...", "the recording has more of them: gsb-info --json")]
     said: Block = Facts(tuple((name, Cell(value)) for name, value in rows)) if rows else Text("None.")
@@ -130,10 +130,6 @@ def _pairs(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
             yield name, ", ".join(first([*map(str, value)], _ROWS)) or "none"
         else:
             yield name, "none" if value is None or value in ("", {}) else str(value)
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= _CHARACTERS else f"{text[:_CHARACTERS]}... ({len(text)} characters)"
 
 
 def _origins(result: GroupResult) -> list[tuple[str, Run]]:

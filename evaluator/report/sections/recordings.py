@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 
+from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Row, Section, Table, Tone, key_of, table
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report.sections.rows import facets, ordered
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import shown_status
-from gpusimbench.evaluator.runs.reader import Unreadable
 from gpusimbench.evaluator.runs.run import Run
 
 _TITLES = ("file", "status", "group", "run", "content hash", "created (UTC)")
@@ -74,7 +74,7 @@ def _row(result: GroupResult, one: Run) -> Row:
             Cell(one.content_hash or "none", code=bool(one.content_hash)),
             Cell(one.provenance.created_utc),
         ),
-        facets(result),
+        facets(result.group.key),
     )
 
 

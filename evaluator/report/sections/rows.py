@@ -26,6 +26,7 @@ from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.groups import GroupKey
 from gpusimbench.evaluator.runs.labels import short_device
 
 Written = Callable[[GroupResult], Cell]
@@ -40,9 +41,8 @@ def without(title: str, reasons: Iterable[str]) -> Missing:
     return Missing(f"{title}: {'; '.join(dict.fromkeys(reasons))}")
 
 
-def facets(result: GroupResult) -> dict[str, str]:
-    """By what readers filter the rows of a group."""
-    key = result.group.key
+def facets(key: GroupKey) -> dict[str, str]:
+    """By what readers filter the rows of a group or of a sweep."""
     return {"simulator": key.simulator, "scene": key.scene, "device": key.device or "none", "level": key.determinism}
 
 

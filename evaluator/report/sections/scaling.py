@@ -21,6 +21,7 @@ from gpusimbench.evaluator.render.document import (
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.scaling import LONGEST_END, SceneSweeps, scene_sweeps
+from gpusimbench.evaluator.report.sections.rows import facets
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
@@ -84,11 +85,6 @@ def _of_scene(found: SceneSweeps) -> Iterator[Block]:
         yield items(*found.remarks)
 
 
-def _facets(sweep: Sweep) -> dict[str, str]:
-    key = sweep.key
-    return {"simulator": key.simulator, "scene": key.scene, "device": key.device or "none", "level": key.determinism}
-
-
 def _sweep(sweep: Sweep, found: SceneSweeps) -> Row:
     where = f"{sweep.key.version or 'no version'}; {sweep.key.device or 'no device'}"
     best = sweep.at_max
@@ -104,7 +100,7 @@ def _sweep(sweep: Sweep, found: SceneSweeps) -> Row:
             Cell(sweep.ends),
             Cell("; ".join(models) or NONE),
         ),
-        _facets(sweep),
+        facets(sweep.key),
         (_points(sweep, found),),
     )
 
@@ -131,5 +127,5 @@ def _point(sweep: Sweep, point: SweepPoint, found: SceneSweeps) -> Row:
             Cell(f"{words.cell(metrics['build_time'])}; {words.cell(metrics['compile_time'])}"),
             Cell(runs, notes=failures, tone=Tone.BAD if failures else Tone.PLAIN),
         ),
-        _facets(sweep),
+        facets(sweep.key),
     )

@@ -39,7 +39,7 @@ def of_groups(
     written = [(r, [write(r) for _, write in columns]) for r in results]
     kept = [(r, own) for r, own in written if not with_any or any(one.text != numbers.NONE for one in own)] or written
     rows = tuple(
-        Row((named(source, r), *(write(r) for _, write in of_place), *own), facets(r), tuple(more(r)))
+        Row((named(source, r), *(write(r) for _, write in of_place), *own), facets(r.group.key), tuple(more(r)))
         for r, own in kept
     )
     titles = (Column("group"), *(column for column, _ in (*of_place, *columns)))

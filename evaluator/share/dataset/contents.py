@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gpusimbench.evaluator.check.integrity import examine
-from gpusimbench.evaluator.check.protocol import reader
 from gpusimbench.evaluator.check.rules.findings import Report, check
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Level, Scope, load_rules
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.runs.reader import Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import DamagedRecording, GsbError
@@ -129,7 +128,7 @@ def look_at(path: Path, name: str, sample_time: float) -> LookedAt:
         why = "; ".join(checkup.findings)
         return LookedAt(name, checkup, Unreadable(Path(name), DamagedRecording(why)))
     # every digest was just compared
-    read = reader(sample_time, verify=False)(path)
+    read = Reader(sample_time, verify=False)(path)
     if isinstance(read, Unreadable):
         error = DamagedRecording(str(read.error).replace(str(path), name))
         damaged = replace(checkup, outcome=DAMAGED, findings=(*checkup.findings, str(error)))

@@ -1,109 +1,293 @@
-"""leaderboard.json and leaderboard.csv: the same rows, for programs."""
+"""A leaderboard as a document: who is first where, then a section for each scene and device."""
 
 from __future__ import annotations
 
-import json
-from typing import Any
+from collections.abc import Iterator, Sequence
 
-from gpusimbench.evaluator.json_values import dump, values_of
-from gpusimbench.evaluator.missing import known
-from gpusimbench.evaluator.render.csv import Cell, to_csv
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.cells import estimate, missing, ranked
+from gpusimbench.evaluator.render.document import (
+    EMPTY,
+    Block,
+    Cell,
+    Column,
+    Document,
+    Item,
+    Row,
+    Table,
+    Text,
+    Tone,
+    items,
+    table,
+)
+from gpusimbench.evaluator.render.document import Section as Part
+from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.report.evidence_json import estimate_record
+from gpusimbench.evaluator.report.sections.rows import facets
+from gpusimbench.evaluator.report.verdicts import QUESTIONS
+from gpusimbench.evaluator.report.words import amount, shared
+from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
-from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.share.leaderboard import words
-from gpusimbench.evaluator.share.leaderboard.standing import Board, Row, Section
-from gpusimbench.schemas import __version__
+from gpusimbench.evaluator.share.leaderboard.standing import ELSEWHERE, Board, Section
+from gpusimbench.evaluator.share.leaderboard.standing import Row as Standing
+from gpusimbench.schemas.text import cut
 
-SCHEMA_VERSION = 1
-KIND = "gpusimbench leaderboard"
-"""By which a leaderboard's document is told from other files of that name."""
+_LEAD = (
+    "Computed from {}, and from nothing else: no figure here was typed in. Each row names its recordings by content "
+    "hash, so that anybody who has them can compute this page again."
+)
+_REASON = 80
+"""Characters of a reason on the first screen."""
 
-COLUMNS = (
-    "scene", "device", "dt_s", "place", "simulator", "version", "determinism", "label", "n_env", "runs", "recordings",
-    "fps", "fps_sd", "fps_low", "fps_high", "memory", "memory_unit", "n_env_max", "distinct_envs", "distinct_runs",
-    "type", "check", "reproduced", "replays", "gates", "no_place", "content_hashes",
-    *(column.title for column in timed.ALL),
-)  # fmt: skip
+_SPEED = Column(f"throughput [{FPS.unit}]", "mean ± SD over runs, 95 % interval")
+_CHECKED = Column("checked", "by the rules of integrity-1: every byte was read; below it, what did not hold")
+_REPRODUCED = Column("reproduced", "by replays among the recordings, bit for bit")
 
 
-def dump_json(board: Board) -> str:
-    """The document."""
-    return dump(
-        values_of({
-            "schema_version": SCHEMA_VERSION,
-            "kind": KIND,
-            "gpusimbench": __version__,
-            "title": board.title,
-            "sample_time_s": board.sample_time,
-            "sections": [_section(section) for section in board.sections],
-            "unreadable": [{"file": name, "why": why} for name, why in board.unreadable],
-            "notes": list(board.notes),
-        })
+def leaderboard_document(board: Board) -> Document:
+    """All that a leaderboard says; the same recordings give the same document."""
+    named = [section for section in board.sections if section.device]
+    blocks: list[Block] = []
+    if board.unreadable:
+        left = (Item(f"{name}: {why}", Tone.BAD) for name, why in board.unreadable)
+        blocks.append(Part("left-out", "Files that are left out", (items(*left),)))
+    if named:
+        blocks.append(_firsts(named))
+    blocks += [_section(number, section) for number, section in enumerate(named, 1)]
+    for number, section in enumerate((s for s in board.sections if not s.device), 1):
+        title = f"{section.scene}: ended before the simulator named its device"
+        blocks.append(Part(f"unnamed{number}", title, (_without_place(f"unnamed{number}-none", section.rows),)))
+    if board.notes:
+        blocks.append(Part("notes", "Notes", (items(*board.notes),), plural(len(board.notes), "note"), folded=True))
+    blocks.append(_how())
+    made_by = (Text("The same rows for programs: leaderboard.json and leaderboard.csv, beside this page."),)
+    return Document(board.title, tuple(blocks), _LEAD.format(plural(board.recordings, "recording")), made_by)
+
+
+def _firsts(sections: Sequence[Section]) -> Table:
+    """The two fastest of each section, and how many cannot have a place."""
+    rows = []
+    for number, section in enumerate(sections, 1):
+        first, second = (*section.ranked[:2], None, None)[:2]
+        where = Cell(_heading(section), notes=(_timed_over(section),), link=f"s{number}")
+        leaders = (_leader(first), _leader(second)) if first else (_nobody(section), EMPTY)
+        rows.append(Row((where, *leaders, _barred(section)), {"scene": section.scene}))
+    columns = (
+        "scene, device", f"fastest [{FPS.unit}]", "next",
+        Column("without a place", "rows that are INVALID, failed, break mechanics in any scene, or break a rule"),
     )  # fmt: skip
+    return table("first", "Who is first", columns, rows)
 
 
-def _section(section: Section) -> dict[str, Any]:
-    return {
-        "scene": section.scene,
-        "scene_sha256": section.scene_hash,
-        "device": section.device,
-        "dt_s": section.dt,
-        "timed": section.timed,
-        "rows": [_row(row) for row in section.rows],
-    }
+def _nobody(section: Section) -> Cell:
+    """Why no row of a section has a place."""
+    if all(isinstance(row.fps.value, Missing) for row in section.unranked):
+        return Cell("not timed", notes=("none of the recordings has a timed phase",), tone=Tone.QUIET)
+    return Cell("no row has a place", tone=Tone.QUIET)
 
 
-def _row(row: Row) -> dict[str, Any]:
-    key, metrics = row.key, row.result.metrics
-    return {
-        "place": row.place,
-        "no_place": row.no_place,
-        "label": row.result.label,
-        "simulator": key.simulator,
-        "version": key.version,
-        "determinism": key.determinism,
-        "options": json.loads(key.options),
-        "switches": json.loads(key.switches or "{}"),
-        "n_env": key.n_env,
-        "warmup": key.warmup,
-        "timed_steps": key.timed_steps,
-        "runs": row.result.group.outcomes,
-        "throughput": _metric(row.fps),
-        "co_tenants": row.fps.of(Throughput).co_tenants,
-        "speeds": row.fps.of(Throughput).speeds,
-        "timed": timed.timed_record(row.result.timed),
-        "memory": _metric(row.memory),
-        "n_env_max": row.sweep.n_max if row.sweep else None,
-        "sweep_ends": row.sweep.ends if row.sweep else None,
-        **{name: _metric(metrics[name]) for name in ("distinct_envs", "distinct_runs", "regime_published")},
-        "gates": list(row.gates),
-        "protocol": words.deviations(row),
-        "reproduction": row.reproduction,
-        "recordings": [vars(entry) for entry in row.entries],
-    }
+def _leader(row: Standing | None) -> Cell:
+    if row is None:
+        return Cell("no other row has a place", tone=Tone.QUIET)
+    speed = ranked(row.fps)
+    name = (row.name,) if row.name != row.key.simulator else ()
+    told = f"{row.key.n_env:,} envs, {row.key.version or 'no version'}, determinism {row.key.determinism}"
+    return Cell(f"{row.key.simulator}: {speed.text}", range=speed.range, notes=(*name, told, *speed.notes))
 
 
-def _metric(metric: Estimate) -> dict[str, Any]:
-    return {"name": metric.name, **estimate_record(metric)}
+def _barred(section: Section) -> Cell:
+    """Simulators with rows that something speaks against, and what; an untimed row or an instrument is no fault."""
+    found: dict[str, list[str]] = {}
+    for row in section.unranked:
+        if _is_fault(row):
+            found.setdefault(row.key.simulator, []).append(_in_short(row.no_place))
+    told = (
+        f"{name} ({plural(len(reasons), 'row')}): {'; '.join(dict.fromkeys(reasons))}"
+        for name, reasons in found.items()
+    )
+    return Cell(", ".join(found), notes=tuple(told), tone=Tone.BAD) if found else EMPTY
 
 
-def dump_csv(board: Board) -> str:
-    """A line for each row, with the names of the columns first."""
-    return to_csv(COLUMNS, (_values(section, row) for section in board.sections for row in section.rows))
+def _in_short(no_place: str) -> str:
+    """What kind of reason it is; the whole of it stands in the table of rows without a place."""
+    kind, _, rest = no_place.partition(": ")
+    return cut(f"elsewhere {rest.partition('; ')[0]}" if kind == ELSEWHERE else kind, _REASON)
 
 
-def _values(section: Section, row: Row) -> tuple[Cell, ...]:
-    key, metrics = row.key, row.result.metrics
-    low, high = row.fps.ci95 or (None, None)
-    return (
-        section.scene, section.device, section.dt, row.place, key.simulator, key.version, key.determinism,
-        row.result.label, key.n_env, len(row.result.group.complete), len(row.entries),
-        known(row.fps.value), row.fps.sd, low, high, known(row.memory.value), row.memory.unit,
-        row.sweep.n_max if row.sweep else None,
-        *(known(metrics[name].value) for name in ("distinct_envs", "distinct_runs", "regime_published")),
-        words.checked(row), row.reproduction.reproduced, row.reproduction.count,
-        "; ".join(row.gates), row.no_place, " ".join(entry.content_hash for entry in row.entries),
-        *timed.cells(timed.ALL, row.result.timed),
-    )  # fmt: skip
+def _is_fault(row: Standing) -> bool:
+    """Whether a row has no place for what it did, and not because it was never to be ranked."""
+    untimed = isinstance(row.fps.value, Missing) and row.no_place == row.fps.value.reason
+    return bool(row.no_place) and not untimed and not is_instrument(row.key)
+
+
+def _section(number: int, section: Section) -> Part:
+    key = f"s{number}"
+    blocks: list[Block] = [Text(_scene(section))]
+    if section.ranked:
+        blocks.append(_ranking(f"{key}-ranking", section))
+    if section.points:
+        said = f"{plural(len(section.points), 'other point')} of these simulators, at which they are slower"
+        blocks.append(Part(f"{key}-points", said, (_points(f"{key}-points-table", section.points),), folded=True))
+    if section.unranked:
+        said = ", ".join(dict.fromkeys(row.key.simulator for row in section.unranked))
+        shown = _without_place(f"{key}-none-table", section.unranked)
+        blocks.append(Part(f"{key}-none", "Without a place", (shown,), said, folded=True))
+    how = _settings(f"{key}-settings-table", section.rows)
+    blocks.append(Part(f"{key}-settings", "How each row was run", (how,), "switches, solver, protocol", folded=True))
+    files = sum(len(row.entries) for row in section.rows)
+    told = plural(files, "recording")
+    blocks.append(Part(f"{key}-files", "Recordings", (_files(f"{key}-files-table", section),), told, folded=True))
+    return Part(key, _heading(section), tuple(blocks))
+
+
+def _heading(section: Section) -> str:
+    """Scene, device and timed steps: sections of one scene and device differ by these alone."""
+    return ", ".join(part for part in (f"{section.scene} on {section.device}", section.timed) if part)
+
+
+def _timed_over(section: Section) -> str:
+    timed_over = f"timed over {section.timed} of the scene, " if section.timed else ""
+    return f"{timed_over}{_scene(section)}"
+
+
+def _scene(section: Section) -> str:
+    return f"dt {section.dt:g} s, scene {words.short(section.scene_hash)}"
+
+
+def _ranking(key: str, section: Section) -> Table:
+    columns: list[Column | str] = [
+        "simulator", Column("place", "by throughput"), _SPEED, "envs", "memory",
+        Column("N_env^max", "largest number of environments of its sweep, and why it goes no further"),
+        *(question.column for question in QUESTIONS), _CHECKED, _REPRODUCED,
+    ]  # fmt: skip
+    rows = []
+    for row in section.ranked:
+        most, ends = words.n_env_max(row)
+        cells = (
+            _who(row), Cell(str(row.place), float(row.place or 0)), _speed(row), _envs(row), _memory(row),
+            Cell(most, notes=(ends,)) if most else EMPTY,
+            *(question.answer([row.result]) for question in QUESTIONS),
+            _checked(row), _reproduced(row),
+        )  # fmt: skip
+        rows.append(Row(cells, facets(row.key)))
+    return table(key, f"Ranking: {_heading(section)}", columns, rows).without_empty_columns()
+
+
+def _points(key: str, of: Sequence[Standing]) -> Table:
+    rows = [Row((_who(row), _envs(row), _speed(row), _memory(row), _checked(row)), facets(row.key)) for row in of]
+    return table(key, "", ("simulator", "envs", _SPEED, "memory", _CHECKED), rows)
+
+
+def _without_place(key: str, of: Sequence[Standing]) -> Table:
+    rows = []
+    for row in of:
+        why = Cell(row.no_place, tone=Tone.BAD if _is_fault(row) else Tone.QUIET)
+        rows.append(Row((_who(row), _envs(row), why, _checked(row), _reproduced(row)), facets(row.key)))
+    return table(key, "", ("simulator", "envs", "why it has no place", _CHECKED, _REPRODUCED), rows)
+
+
+def _settings(key: str, of: Sequence[Standing]) -> Table:
+    rows = []
+    for row in of:
+        work = row.result.timed
+        solver = [f"{name} {value}" for name, value in work.settings.items() if value]
+        said = (_lines(solver), _lines(words.settings(row)), _lines(words.unmet(row)))
+        rows.append(Row((Cell(row.name, notes=(f"{row.key.n_env:,} envs",)), *said), facets(row.key)))
+    return table(key, "", ("simulator", "solver", "switches in force", f"rules of {PROTOCOL} that are not met"), rows)
+
+
+def _lines(said: Sequence[str]) -> Cell:
+    return Cell(said[0], notes=tuple(said[1:])) if said else EMPTY
+
+
+def _files(key: str, section: Section) -> Table:
+    rows = []
+    for row in section.rows:
+        for entry in row.entries:
+            ended = Cell(entry.status, tone=Tone.PLAIN if entry.status == "complete" else Tone.BAD)
+            of = Cell(words.short(entry.replay_of), code=True) if entry.replay_of else EMPTY
+            who = Cell(row.name, notes=(f"{row.key.n_env:,} envs",))
+            cells = (who, Cell(entry.name, code=True), Cell(entry.content_hash or "no hash", code=True), ended, of)
+            rows.append(Row(cells, facets(row.key)))
+    return table(key, "", ("simulator", "file", "content hash", "status", "replay of"), rows)
+
+
+def _who(row: Standing) -> Cell:
+    """The claim of a row: name, version, level."""
+    return Cell(row.name, notes=(f"{row.key.version or 'no version'}; determinism {row.key.determinism}",))
+
+
+def _envs(row: Standing) -> Cell:
+    return Cell(f"{row.key.n_env:,}", float(row.key.n_env))
+
+
+def _speed(row: Standing) -> Cell:
+    beside = [plural(len(row.result.group.complete), "run"), *timed.beside(row.result.timed)[:1]]
+    if others := shared(row.fps):
+        beside.append(f"another process on the GPU: {others}")
+    if speeds := row.fps.of(Throughput).speeds:
+        beside.append(f"by outcome: {speeds.ranges}")
+    return estimate(row.fps, *beside, tone=Tone.WARNING if others else Tone.PLAIN)
+
+
+def _memory(row: Standing) -> Cell:
+    if isinstance(row.memory.value, Missing):
+        return missing(row.memory.value)
+    name = row.memory.name
+    whose = "of the host" if name.startswith("host") else "of the GPU"
+    whose = "of the process on the GPU" if name.startswith("process") else whose
+    return Cell(amount(row.memory), float(row.memory.value), notes=(whose,))
+
+
+def _checked(row: Standing) -> Cell:
+    """What the rules say of its recordings, what did not hold, and which rules of the protocol are not met."""
+    unmet = words.unmet_in_short(row)
+    beyond = (unmet,) if unmet else ()
+    return Cell(words.checked(row), notes=(*row.gates, *beyond), tone=Tone.BAD if row.gates else Tone.PLAIN)
+
+
+def _reproduced(row: Standing) -> Cell:
+    return Cell(words.reproduced(row.reproduction), tone=Tone.GOOD if row.reproduction.reproduced else Tone.PLAIN)
+
+
+def _how() -> Part:
+    return Part("how", "How to read this", (items(*_explained()),), folded=True)
+
+
+def _explained() -> Iterator[str]:
+    yield (
+        "A place is by throughput within one scene, one step, one device and the same timed steps of the scene: at "
+        "other steps the scene has other contacts. A timed phase below 1 s is marked. Cone, iterations and tolerance "
+        "of the solver stand in the table of how each row was run: with others a step is another amount of work. Two "
+        "devices are not compared. If throughput goes with the outcome of a run, the place is that of the slowest run."
+    )
+    yield (
+        "A row is a set of runs of one simulator, version, switches, options, device and number of environments. A "
+        "simulator that was run with several numbers of environments has its place by the one at which it is fastest."
+    )
+    yield (
+        "A run that is INVALID, or that breaks a rule of integrity-1, leaves its row without a place, and so do states "
+        "that break a check of mechanics, which is made where states were captured. Either holds for the same engine "
+        "in every scene. Runs that failed are named. A throughput that breaks a rule of "
+        f"{PROTOCOL} on the timed window or on evidence of work has no place: the world may have been at rest."
+    )
+    yield "Intervals are 95 %, over runs. Without an interval there are too few runs, and two places may be one."
+    yield "Repeats itself, envs alike: whether state hashes of runs, or of environments, differ at any captured step."
+    yield (
+        "Whole means that all of a file was read: every CRC, every digest, the content hash, clocks, hashes and states "
+        f"against each other. A rule of {PROTOCOL} that is not met stands below it: the row has numbers of steps or a "
+        "machine of its own, and not those of the benchmark."
+    )
+    yield (
+        "Reproduced bitwise means that a recording of a replay is among these recordings, and that its state at every "
+        "captured step is that of the original, bit for bit. A verdict that somebody wrote down does not count. That a "
+        "recording is a replay, and on what machine, are its own words; recordings name no people, so whether anybody "
+        "else made it is not known here."
+    )
+    yield (
+        "A content hash shows that a file is the one that somebody published, and not that a simulator made it. That "
+        "the same comes out on your machine does: gsb-audit FILE."
+    )

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from gpusimbench.evaluator.check.protocol import reader
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.known_files import read_all
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.read.stamp import stamp_of
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.results.evaluate import evaluate
-from gpusimbench.evaluator.runs.known_files import read_all
-from gpusimbench.evaluator.runs.reader import Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.contents import DAMAGED, WHOLE, Checkup, LookedAt, check_up, is_recording
 from gpusimbench.evaluator.share.dataset.folder import find
-from gpusimbench.evaluator.share.leaderboard.document import KIND, dump_csv, dump_json
-from gpusimbench.evaluator.share.leaderboard.page import leaderboard_document
+from gpusimbench.evaluator.share.leaderboard.csv import dump_csv
+from gpusimbench.evaluator.share.leaderboard.document import leaderboard_document
+from gpusimbench.evaluator.share.leaderboard.json import KIND, dump_json
 from gpusimbench.evaluator.share.leaderboard.reproduction import replays_of
 from gpusimbench.evaluator.share.leaderboard.standing import Board, sections
 from gpusimbench.schemas import checks
@@ -102,7 +102,7 @@ def _inside(folder: Path) -> Iterator[Path]:
 def gather(places: Sequence[Place], sample_time: float, work: Work) -> list[LookedAt]:
     """Check and read every recording, in order of the places; what was found before is taken from the work's store."""
     looked_at = []
-    for place, read in zip(places, read_all(places, reader(sample_time), work), strict=True):
+    for place, read in zip(places, read_all(places, Reader(sample_time), work), strict=True):
         checkup = _checked(place, work)
         if checkup.outcome == DAMAGED and not isinstance(read, Unreadable):
             read = Unreadable(place, DamagedRecording("; ".join(checkup.findings)))

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.compute.cache.store import Store
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.read.stamp import Stamp, stamp_of
-from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.progress import received, sizes
@@ -42,7 +42,7 @@ class KnownFiles:
 
     def _key(self, content_hash: str, stamp: Stamp) -> str:
         # of this very file: what the content hash does not cover, such as the cause of a failure, may be another's
-        return self.store.key(self.reader.rules, [content_hash, stamp, self.reader.sample_time])
+        return self.store.key(Reader, [content_hash, stamp, self.reader.time])
 
 
 def read_all(paths: Sequence[Place], reader: Reader, work: Work) -> Iterator[Run | Unreadable]:

@@ -5,11 +5,12 @@ A recording that cannot be read is found out here, and the others go on without 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.metrics.capture import changes_states
 from gpusimbench.evaluator.metrics.cotenants import CoTenants, cotenants
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
@@ -39,6 +40,9 @@ from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.tosses import TOSSES
 from gpusimbench.schemas.trial_units import METRES, UnitDoubt, unit_doubt
 
+DEFAULT_S = 5.0
+"""Of scenes that are the benchmark's, and before a recording was read [s]."""
+
 
 @dataclass(frozen=True)
 class Unreadable:
@@ -52,18 +56,20 @@ class Unreadable:
 class Reader:
     """How files are read; a file that cannot be is a result too, so that the others are not lost with it.
 
-    sample_time  simulated time at which positions are compared [s]
-    rules        gives the rules that an open recording breaks by itself: check.protocol.unmet_by_file
+    sample_time  simulated time at which positions are compared [s]; None: DEFAULT_S, but scenes that name another
+                 sample time, or end before it, are read at theirs: see sample_time.py
     verify       whether every byte is read and held against the digests
     verified     stamps of files for which that was done before: a file that still has its stamp is not read as a whole
-    own_times    whether scenes that name another sample time, or end before it, are read at theirs: see sample_time.py
     """
 
-    sample_time: float
-    rules: Callable[[Recording], tuple[str, ...]]
+    sample_time: float | None = None
     verify: bool = True
     verified: Mapping[Place, Stamp] = field(default_factory=dict)
-    own_times: bool = False
+
+    @property
+    def time(self) -> float:
+        """At which positions are sampled [s]."""
+        return DEFAULT_S if self.sample_time is None else self.sample_time
 
     def __call__(self, path: Place) -> Run | Unreadable:
         """Read one file, in memory that its size does not govern: see docs/scale.md."""
@@ -72,8 +78,8 @@ class Reader:
             recording = Recording(path)
             if self.verify and not (stamp and self.verified.get(path) == stamp):
                 verify(recording)
-            run = read_run(recording, self.sample_time)
-            return replace(run, unmet=self.rules(recording), stamp=stamp)
+            run = read_run(recording, self.time)
+            return replace(run, unmet=unmet_by_file(recording), stamp=stamp)
         except GsbError as error:
             return Unreadable(path, error)
 

@@ -27,8 +27,7 @@ from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.sections.rows import facets, named
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results import paper_tables as remade
-from gpusimbench.evaluator.results import published
+from gpusimbench.evaluator.results import paper_tables, published
 from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
 from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT
@@ -78,8 +77,8 @@ class VariabilityRow:
 
 def section(source: Source) -> Section | None:
     """None where nothing here is of the published scenes."""
-    capability = remade.capability(source.evaluation.sweeps, source.evaluation.results)
-    shown = [r for r in remade.variability(source.evaluation.results) if r in source.shown]
+    capability = paper_tables.capability(source.evaluation.sweeps, source.evaluation.results)
+    shown = [r for r in paper_tables.variability(source.evaluation.results) if r in source.shown]
     # beside the default, if there is one: the paper tells of no other level
     shown.sort(key=lambda r: r.group.key.determinism != DEFAULT)
     rows = [_row(r, source, first=_is_first(r, shown)) for r in shown]
@@ -88,8 +87,8 @@ def section(source: Source) -> Section | None:
     blocks: list[Block] = [Text(_HOW)]
     if capability:
         paper = {r.simulator: r for r in published.SCALING} if source.published else {}
-        blocks += [_capability(scene, capability, paper) for scene in remade.CAPABILITY_SCENES]
-        if notes := [line for scene in remade.CAPABILITY_SCENES for line in _timed_remarks(capability, scene)]:
+        blocks += [_capability(scene, capability, paper) for scene in paper_tables.CAPABILITY_SCENES]
+        if notes := [line for scene in paper_tables.CAPABILITY_SCENES for line in _timed_remarks(capability, scene)]:
             blocks.append(items(*notes))
     if rows:
         blocks.append(_variability(source, rows))
@@ -100,7 +99,7 @@ def section(source: Source) -> Section | None:
     return Section("remade", "The paper's tables, made again", tuple(blocks), said, folded=True)
 
 
-def _capability(scene: str, rows: Sequence[remade.Capability], paper: dict[str, published.Scaling]) -> Table:
+def _capability(scene: str, rows: Sequence[paper_tables.Capability], paper: dict[str, published.Scaling]) -> Table:
     shown: list[Row] = []
     for row in rows:
         at = row.at.get(scene)
@@ -115,7 +114,7 @@ def _capability(scene: str, rows: Sequence[remade.Capability], paper: dict[str, 
     return table(key_of("capability", scene), f"Parallel capability at N_env^max, {scene}", titles, shown)
 
 
-def _at_max(row: remade.Capability, at: remade.AtMax, scene: str) -> Row:
+def _at_max(row: paper_tables.Capability, at: paper_tables.AtMax, scene: str) -> Row:
     name = Cell(row.label, notes=(_settings(row.key), *row.elsewhere), tone=Tone.BAD if row.elsewhere else Tone.PLAIN)
     key = row.key
     held = {"simulator": key.simulator, "scene": scene, "device": key.device or "none", "level": key.determinism}
@@ -145,7 +144,7 @@ def _variability(source: Source, rows: Sequence[VariabilityRow]) -> Table:
         distinct = (Cell(words.count_of(result.metrics[f"distinct_{of}"])) for of in ("envs", "runs"))
         kind = EMPTY if regime is None else Cell(f"{regime:.0f}", regime)
         against = fault if result.group.complete else EMPTY
-        shown.append(Row((named(source, result), kind, *distances, *distinct, against), facets(result)))
+        shown.append(Row((named(source, result), kind, *distances, *distinct, against), facets(result.group.key)))
         if row.paper:
             told = (str(one) for one in (row.paper.regime, row.paper.w1_real, row.paper.parallel, row.paper.run_to_run))
             cells = (f"{row.paper.simulator}, the paper's", *told, NONE, NONE, "published")
@@ -163,7 +162,7 @@ def _cell(found: Printed) -> Cell:
     return Cell(found.value, range=found.interval, notes=(found.note,) if found.note else ())
 
 
-def _timed_remarks(rows: Sequence[remade.Capability], scene: str) -> list[str]:
+def _timed_remarks(rows: Sequence[paper_tables.Capability], scene: str) -> list[str]:
     # one point of each row stands for it
     found = {r.label: row.label for row in rows if scene in row.at and (r := row.at[scene].sweep.at_max)}
     results = [r for row in rows if scene in row.at and (r := row.at[scene].sweep.at_max)]

@@ -8,30 +8,27 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.known_files import read_all
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.read.stamp import Stamp
-from gpusimbench.evaluator.runs.known_files import read_all
 from gpusimbench.evaluator.runs.outcome import joint_fields, positional
-from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.location import Place
-
-DEFAULT_S = 5.0
-"""Of scenes that are the benchmark's, and before a recording was read [s]."""
 
 
 @dataclass(frozen=True)
 class Sampled:
     """Files as they were read, and the times at which their positions were sampled.
 
-    files    in the order in which they were asked for
+    files    by place
     time     of every scene that is not in `shorter` [s]
     shorter  by scene, the time of those that have another [s]: the one that the scene names, where a recording has it,
              else the last that all of its recordings have
     """
 
-    files: tuple[Run | Unreadable, ...]
+    files: Mapping[Place, Run | Unreadable]
     time: float
     shorter: Mapping[str, float] = field(default_factory=dict)
 
@@ -63,9 +60,10 @@ def _why(at: float, time: float, runs: Sequence[Run]) -> str:
 
 def read_sampled(places: Sequence[Place], reader: Reader, work: Work) -> Sampled:
     """Read files, and those of scenes with another sample time than the reader's at that one, if it says so."""
+    places = list(dict.fromkeys(places))
     files = dict(zip(places, read_all(places, reader, work), strict=True))
     runs = [file for file in files.values() if isinstance(file, Run)]
-    others = _others(runs, reader.sample_time) if reader.own_times else {}
+    others = _others(runs, reader.time) if reader.sample_time is None else {}
     for time in set(others.values()):
         again = [
             place
@@ -76,7 +74,7 @@ def read_sampled(places: Sequence[Place], reader: Reader, work: Work) -> Sampled
         stamps = {place: file.stamp for place, file in read if isinstance(file, Run) and isinstance(file.stamp, Stamp)}
         anew = replace(reader, sample_time=time, verified=stamps)  # each was verified, if at all, a moment ago
         files.update(zip(again, read_all(again, anew, work), strict=True))
-    return Sampled(tuple(files[place] for place in places), reader.sample_time, others)
+    return Sampled(files, reader.time, others)
 
 
 def _others(runs: Sequence[Run], time: float) -> dict[str, float]:

@@ -1,0 +1,1 @@
+"""From the files of a command to what evaluations compute from."""
