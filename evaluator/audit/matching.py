@@ -27,6 +27,7 @@ def match_of(found: Difference, original: Recording, replay: Recording) -> Match
         max_ulp=found.max_ulp,
         steps=steps.count if steps else 0,
         left_out=_named(list(_left_out(found, original, replay))),
+        signs_differ=found.signs_differ,
         no_ulps=_named(list(_no_ulps(found))),
     )
 

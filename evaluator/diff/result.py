@@ -88,6 +88,8 @@ class FieldDifference:
     max_distance      largest |a - b| [unit] where both are finite; None where that is nowhere. Of quaternions, b is
                       taken with the sign with which it is nearer to a, since q and -q are one rotation
     other_sign        of those that differ, numbers of quaternions with b = -a: the same rotation
+    signs_from        first recorded step, of side a, with numbers of opposite signs, whose distance in ULP says
+                      nothing; None where there is none
     """
 
     field: str
@@ -103,6 +105,7 @@ class FieldDifference:
     max_ulp: int | None
     max_distance: float | None
     other_sign: int
+    signs_from: int | None
 
 
 @dataclass(frozen=True)
@@ -368,6 +371,11 @@ class Difference:
         if self.different:
             return Verdict.DIFFERENT
         return Verdict.IDENTICAL if self.bit_identical else Verdict.WITHIN_RESOLUTION
+
+    @property
+    def signs_differ(self) -> bool:
+        """Whether some numbers have opposite signs, so that `max_ulp` says nothing."""
+        return any(field.signs_from is not None for field in self.compared.fields)
 
     @property
     def same_rotations(self) -> bool:
