@@ -80,16 +80,14 @@ class FieldDifference:
     nan_payloads      of those, pairs of NaNs with other bits
     not_finite        of those, pairs of which one or both are not finite, or too far apart for a number
     first_step        first recorded step with a difference, of side a; None where there is none
-    first_ulp         largest distance at that step in units in the last place, in order of the bits (see
-                      `ulp_distance`); of float32 where the basis is FLOAT32; None where the basis is LOCAL, and where
-                      nothing differs
+    first_ulp         largest distance at that step in units in the last place (see `ulp_distance`); of float32 where
+                      the basis is FLOAT32; None where the basis is LOCAL, and where nothing differs
     max_ulp           the same over all steps, zero where nothing differs; None where the basis is LOCAL, and without a
                       common state
     max_distance      largest |a - b| [unit] where both are finite; None where that is nowhere. Of quaternions, b is
                       taken with the sign with which it is nearer to a, since q and -q are one rotation
     other_sign        of those that differ, numbers of quaternions with b = -a: the same rotation
-    signs_from        first recorded step, of side a, with numbers of opposite signs, whose distance in ULP says
-                      nothing; None where there is none
+    signs_from        first recorded step, of side a, with numbers of opposite signs; None where there is none
     """
 
     field: str

@@ -205,7 +205,7 @@ class StateWriter:
                 found = self._write_and_look(groups, first, meanwhile, whole=whole)
         if not found:
             return None
-        row, env, what = min(found)
+        row, env, what = min(found, key=lambda place: place[:2])  # of those of one row, the first field
         return f"a state is not finite: step {first + row}, env {env}, {what}"
 
     def _write_and_look(
