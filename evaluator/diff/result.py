@@ -82,8 +82,7 @@ class FieldDifference:
     first_step        first recorded step with a difference, of side a; None where there is none
     first_ulp         largest distance at that step in units in the last place (see `ulp_distance`); of float32 where
                       the basis is FLOAT32; None where the basis is LOCAL, and where nothing differs
-    max_ulp           the same over all steps, zero where nothing differs; None where the basis is LOCAL, and without a
-                      common state
+    max_ulp           the same over all steps, 0 where nothing differs; None where LOCAL, and without a common state
     max_distance      largest |a - b| [unit] where both are finite; None where that is nowhere. Of quaternions, b is
                       taken with the sign with which it is nearer to a, since q and -q are one rotation
     other_sign        of those that differ, numbers of quaternions with b = -a: the same rotation
@@ -323,11 +322,11 @@ class Difference:
                            nothing differs, environments alone are in another order, or bits cannot be compared
     bodies_of_other_envs   that order is of bodies and of environments
     first                  where they part; None where they do not
-    max_ulp                largest of any field that can be compared in units in the last place, at any common recorded
-                           step; None where there is none. Other fields, and `unseen_steps`, may be further apart
+    max_ulp                largest of any field that has one, at any common recorded step; None where there is none
     growth                 how far bodies lie apart
     splits                 which states are the same, and when they part
     settings               what configurations, provenance, options, versions and attachments differ in
+    other_packages         how many of these, the last, are installed packages that no recorder lists as computing
     copies                 both are recordings of the same run, so that being equal says nothing
     notes                  what a reader must know beside, a sentence each
     described              whether the simulators were described, so that `settings` is of their versions and options
@@ -348,6 +347,7 @@ class Difference:
     growth: Growth | Missing
     splits: Splits
     settings: tuple[Setting, ...]
+    other_packages: int
     copies: bool
     notes: tuple[str, ...]
     described: bool = True
