@@ -24,7 +24,7 @@ from gpusimbench.evaluator.runs.sunk_cubes import Sunk
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.provenance import Provenance, Simulation
+from gpusimbench.schemas.provenance import LOGGED, Provenance, Simulation
 from gpusimbench.schemas.trial_units import UnitDoubt
 
 NOT_MEASURED = Missing("the run did not complete, or lost data")
@@ -165,6 +165,11 @@ class Run:
     def apart_by_design(self) -> str:
         """Why the environments differ whatever the engine does; empty where they should be alike."""
         return apart_by_design(self.action_names, self.fields, self.configuration)
+
+    @property
+    def of_program(self) -> bool:
+        """Whether a program logged it, and no adapter of gsb-record stepped the engine."""
+        return self.simulation is not None and self.simulation.fresh_start == LOGGED
 
     @property
     def fields(self) -> tuple[StateField, ...]:
