@@ -14,7 +14,8 @@ from gpusimbench.schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SIM
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN, SNAPSHOT
 
 _PACKAGE = "software.packages."
-_UNSET = "(unset)"
+UNSET = "(unset)"
+"""Stands for what a recording does not say."""
 _LONGEST = 200
 _DEEPEST = 4
 _DIGITS = 12  # of a digest that is shown
@@ -30,7 +31,7 @@ def differing_settings(a: Recording, b: Recording) -> tuple[Setting, ...]:
     """
     of_a, of_b = dict(_told(a)), dict(_told(b))
     names = dict.fromkeys((*of_a, *of_b))
-    pairs = ((name, of_a.get(name, _UNSET), of_b.get(name, _UNSET)) for name in names)
+    pairs = ((name, of_a.get(name, UNSET), of_b.get(name, UNSET)) for name in names)
     found = [Setting(name, _short(x), _short(y)) for name, x, y in pairs if x != y]
     return tuple(sorted(found, key=lambda one: is_other_package(one, a, b)))
 
