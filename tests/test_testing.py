@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gpusimbench import RecordingWriter, UsageError, open_recording, testing
-from gpusimbench.evaluator.metrics.divergence import ulp_distance
+from gpusimbench.evaluator.metrics.divergence import opposite_signs, ulp_distance
 from gpusimbench.schemas.fields import body_field
 from gpusimbench.testing import assert_batch_invariant, assert_deterministic, assert_identical
 from tests.conftest import run_python
@@ -69,8 +69,10 @@ def test_a_changed_bit_is_found(
     assert said.startswith(f"a and b differ first at step {at[0]}{env}: moved{component}: ")
     assert f"moved{component}: {a[at]!s} and {b[at]!s} (" in said
     if np.dtype(dtype).kind == "f":
-        ulp = int(ulp_distance(a[at].reshape(1), b[at].reshape(1))[0])
-        assert f"{ulp:,} ULP" in said or f"{ulp:.2e} ULP" in said
+        one, another = a[at].reshape(1), b[at].reshape(1)
+        ulp = int(ulp_distance(one, another)[0])
+        assert f"{ulp:,} ULP" in said or f"{ulp:.2e} ULP" in said or opposite_signs(one, another)[0]
+        assert (f"the signs differ ({a[at]!s} and {b[at]!s})" in said) == opposite_signs(one, another)[0]
     else:
         assert "ULP" not in said
         assert f"): {abs(int(a[at]) - int(b[at])):.3g}" in said

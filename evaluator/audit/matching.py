@@ -9,13 +9,13 @@ import numpy as np
 
 from gpusimbench.evaluator.audit.verdict import Match
 from gpusimbench.evaluator.diff.result import Basis, Difference, Setting
+from gpusimbench.evaluator.diff.settings import is_other_package
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.text import first
 
 _PHASES = ("capture", "timed")
 _MOST_NAMED = 3
 _FREE = ("compression", "timeout")  # a replay's own; they decide no number
-_PACKAGE = "software.packages."
 
 
 def match_of(found: Difference, original: Recording, replay: Recording) -> Match:
@@ -27,6 +27,7 @@ def match_of(found: Difference, original: Recording, replay: Recording) -> Match
         max_ulp=found.max_ulp,
         steps=steps.count if steps else 0,
         left_out=_named(list(_left_out(found, original, replay))),
+        signs_differ=found.signs_differ,
         no_ulps=_named(list(_no_ulps(found))),
     )
 
@@ -142,9 +143,5 @@ class Settings:
 
 def sorted_out(differing: tuple[Setting, ...], original: Recording, replay: Recording) -> Settings:
     """Of all that differs between two recordings, what can explain other numbers."""
-    computing: set[str] = set()
-    for recording in (original, replay):
-        packages = recording.provenance.software.get("packages", {})
-        computing |= {f"{_PACKAGE}{name}" for name in packages} if isinstance(packages, dict) else set()
-    others = [s for s in differing if s.name.startswith(_PACKAGE) and s.name not in computing]
+    others = [setting for setting in differing if is_other_package(setting, original, replay)]
     return Settings(tuple(s for s in differing if s not in others and s.name not in _FREE), len(others))

@@ -35,6 +35,7 @@ class Match:
     steps                 recorded steps that this is over
     left_out              what of the original was not compared; empty where everything was
     no_ulps               why other numbers may be further apart; empty where all are known
+    signs_differ          whether numbers of opposite signs are among them, so that `max_ulp` says nothing
     """
 
     bit_identical: bool
@@ -43,6 +44,7 @@ class Match:
     steps: int = 0
     left_out: str = ""
     no_ulps: str = ""
+    signs_differ: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,11 @@ def _ulps(matches: Sequence[Match], most: int) -> Rung:
     found = [0 if equal else m.max_ulp for m, equal in zip(matches, same, strict=True)]
     known = [k for k in found if k is not None]
     over = f" over {min(m.steps for m in matches)} recorded steps" if any(m.steps for m in matches) else ""
-    said = f"largest distance {max(known, default=0):,} ULP{over}; {most} are allowed"
+    far = max(known, default=0)
+    signs = far > most and any(m.signs_differ for m, equal in zip(matches, same, strict=True) if not equal)
+    said = f"largest distance {far:,} ULP{over}; {most} are allowed"
+    if signs:
+        said = f"numbers have opposite signs{over}; {most} ULP are allowed"
     if known and max(known) > most:
         return Rung(Level.WITHIN_ULPS, False, said)
     unknown = dict.fromkeys(m.no_ulps for m, equal in zip(matches, same, strict=True) if m.no_ulps and not equal)

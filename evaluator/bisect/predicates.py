@@ -74,7 +74,7 @@ def first_number(a: Recording, b: Recording) -> str:
     if first is None or first.state is None:
         return ""
     number = first.state.number
-    return f"step {first.state.step}, {place_of(number)}: {number.a} and {number.b}, {apart(number)}"
+    return f"step {first.state.step}, {place_of(number)}: {number.a} and {number.b}, {apart(number, named=True)}"
 
 
 def _apart(found: Difference) -> str:

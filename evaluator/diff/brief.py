@@ -128,8 +128,12 @@ def reached(growth: Growth) -> list[str]:
 
 def _settings(found: Difference) -> Pairs:
     if found.settings:
-        names = words.names([setting.name for setting in found.settings], _NAMES)
-        return [("settings", f"{words.differ(len(found.settings))}: {names}")]
+        deciding = found.settings[: len(found.settings) - found.other_packages]
+        names = [words.names([setting.name for setting in deciding], _NAMES)] if deciding else []
+        if found.other_packages:
+            other = "other installed package" if deciding else "installed package"
+            names.append(words.counted(found.other_packages, other))
+        return [("settings", f"{words.differ(len(found.settings))}: {'; and '.join(names)}")]
     if found.one_recording:
         return []
     if found.described:

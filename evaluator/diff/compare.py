@@ -11,7 +11,7 @@ from gpusimbench.evaluator.diff.order import BodyOrder
 from gpusimbench.evaluator.diff.program import compare_program
 from gpusimbench.evaluator.diff.result import Basis, Compared, Difference, Splits
 from gpusimbench.evaluator.diff.selection import Selection, one
-from gpusimbench.evaluator.diff.settings import differing_settings
+from gpusimbench.evaluator.diff.settings import differing_settings, is_other_package
 from gpusimbench.evaluator.diff.splits import Agreement, Classes, step_range, without_classes
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.evaluator.diff.walk import walk_hashes, walk_states
@@ -78,6 +78,7 @@ def _compare(a: Selection, b: Selection) -> Difference:
         bodies = BodyOrder(states, a, b)
         bodies.look()
     one_recording = a.recording is b.recording
+    settings = () if one_recording else differing_settings(a.recording, b.recording)
     program = None
     if not one_recording and ratio == 1 and a.envs == b.envs:
         program = compare_program(a.recording, b.recording, walked.fields, first)
@@ -105,7 +106,8 @@ def _compare(a: Selection, b: Selection) -> Difference:
         max_ulp=max((f.max_ulp for f in walked.fields if f.max_ulp is not None), default=None),
         growth=walked.growth or Missing(remarks.no_growth(fields, states=bool(len(states)))),
         splits=_splits(agreement, classes, no_classes, by_hashes=hashes is not None),
-        settings=() if one_recording else differing_settings(a.recording, b.recording),
+        settings=settings,
+        other_packages=sum(is_other_package(one, a.recording, b.recording) for one in settings),
         copies=not one_recording and a.recording.provenance.run_id == b.recording.provenance.run_id,
         notes=(*remarks.notes(a, b, fields, hashes), *remarks.timed(timed_agreement)),
         program=program,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.result import Basis, FieldDifference, Number
 from gpusimbench.evaluator.diff.selection import Selection
-from gpusimbench.evaluator.metrics.divergence import as_words, differs, resolution, ulp_distance
+from gpusimbench.evaluator.metrics.divergence import as_words, differs, opposite_signs, resolution, ulp_distance
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,7 @@ class Tally:
         self._first_step: int | None = None
         self._first_ulp: int | None = None
         self._max_ulp: int | None = None
+        self._signs_from: int | None = None
         self._max_distance: float | None = None
 
     def add(self, steps: NDArray[np.int64], a: NDArray[Any], b: NDArray[Any], mask: NDArray[np.bool_]) -> None:
@@ -109,9 +110,12 @@ class Tally:
         self._payloads += int(np.count_nonzero(np.isnan(of_a) & np.isnan(of_b)))
         if self._max_ulp is not None:
             ulps = ulp_distance(of_a, of_b)
+            opposite = opposite_signs(of_a, of_b)
+            if self._signs_from is None and opposite.any():
+                # masked numbers are in order of steps
+                self._signs_from = int(steps[np.nonzero(mask)[0][np.argmax(opposite)]])
             self._max_ulp = max(self._max_ulp, int(ulps.max()))
             if self._first_step is None:
-                # masked numbers are in order of steps
                 self._first_ulp = int(ulps[: np.count_nonzero(mask[rows[0]])].max())
         if self._first_step is None:
             self._first_step = int(steps[rows[0]])
@@ -124,7 +128,7 @@ class Tally:
         return FieldDifference(
             field.name, field.unit, field.basis, self._numbers, self._different, self._zeros, self._payloads,
             self._not_finite, self._first_step, self._first_ulp, self._max_ulp,
-            nothing if self._max_distance is None else self._max_distance, self._negated,
+            nothing if self._max_distance is None else self._max_distance, self._negated, self._signs_from,
         )  # fmt: skip
 
 

@@ -80,14 +80,13 @@ class FieldDifference:
     nan_payloads      of those, pairs of NaNs with other bits
     not_finite        of those, pairs of which one or both are not finite, or too far apart for a number
     first_step        first recorded step with a difference, of side a; None where there is none
-    first_ulp         largest distance at that step in units in the last place, in order of the bits (see
-                      `ulp_distance`); of float32 where the basis is FLOAT32; None where the basis is LOCAL, and where
-                      nothing differs
-    max_ulp           the same over all steps, zero where nothing differs; None where the basis is LOCAL, and without a
-                      common state
+    first_ulp         largest distance at that step in units in the last place (see `ulp_distance`); of float32 where
+                      the basis is FLOAT32; None where the basis is LOCAL, and where nothing differs
+    max_ulp           the same over all steps, 0 where nothing differs; None where LOCAL, and without a common state
     max_distance      largest |a - b| [unit] where both are finite; None where that is nowhere. Of quaternions, b is
                       taken with the sign with which it is nearer to a, since q and -q are one rotation
     other_sign        of those that differ, numbers of quaternions with b = -a: the same rotation
+    signs_from        first recorded step, of side a, with numbers of opposite signs; None where there is none
     """
 
     field: str
@@ -103,6 +102,7 @@ class FieldDifference:
     max_ulp: int | None
     max_distance: float | None
     other_sign: int
+    signs_from: int | None
 
 
 @dataclass(frozen=True)
@@ -322,11 +322,11 @@ class Difference:
                            nothing differs, environments alone are in another order, or bits cannot be compared
     bodies_of_other_envs   that order is of bodies and of environments
     first                  where they part; None where they do not
-    max_ulp                largest of any field that can be compared in units in the last place, at any common recorded
-                           step; None where there is none. Other fields, and `unseen_steps`, may be further apart
+    max_ulp                largest of any field that has one, at any common recorded step; None where there is none
     growth                 how far bodies lie apart
     splits                 which states are the same, and when they part
     settings               what configurations, provenance, options, versions and attachments differ in
+    other_packages         how many of these, the last, are installed packages that no recorder lists as computing
     copies                 both are recordings of the same run, so that being equal says nothing
     notes                  what a reader must know beside, a sentence each
     described              whether the simulators were described, so that `settings` is of their versions and options
@@ -347,6 +347,7 @@ class Difference:
     growth: Growth | Missing
     splits: Splits
     settings: tuple[Setting, ...]
+    other_packages: int
     copies: bool
     notes: tuple[str, ...]
     described: bool = True
@@ -368,6 +369,11 @@ class Difference:
         if self.different:
             return Verdict.DIFFERENT
         return Verdict.IDENTICAL if self.bit_identical else Verdict.WITHIN_RESOLUTION
+
+    @property
+    def signs_differ(self) -> bool:
+        """Whether some numbers have opposite signs, so that `max_ulp` says nothing."""
+        return any(field.signs_from is not None for field in self.compared.fields)
 
     @property
     def same_rotations(self) -> bool:

@@ -99,16 +99,16 @@ def _row(field: FieldDifference) -> list[Cell | str]:
         Cell(f"{field.different:,}", field.different),
         Cell(f"{field.numbers:,}", field.numbers),
         words.NONE if field.first_step is None else Cell(str(field.first_step), field.first_step),
-        _ulps(field.first_ulp),
-        _ulps(field.max_ulp),
+        _ulps(field.first_ulp, field.signs_from == field.first_step),
+        _ulps(field.max_ulp, field.signs_from is not None),
         Cell("not finite", math.inf)
         if nowhere
         else Cell(words.amount(field.max_distance, field.unit), field.max_distance),
     ]
 
 
-def _ulps(count: int | None) -> Cell | str:
-    return words.NONE if count is None else Cell(words.ulps(count), count)
+def _ulps(count: int | None, signs_differ: bool) -> Cell | str:
+    return words.NONE if count is None else Cell(words.ulps(count, signs_differ=signs_differ), count)
 
 
 def _distances(growth: Growth | Missing) -> Section:

@@ -13,7 +13,9 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SIMULATION
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN, SNAPSHOT
 
-_UNSET = "(unset)"
+_PACKAGE = "software.packages."
+UNSET = "(unset)"
+"""Stands for what a recording does not say."""
 _LONGEST = 200
 _DEEPEST = 4
 _DIGITS = 12  # of a digest that is shown
@@ -24,12 +26,21 @@ _TOLD_ELSEWHERE = (PROVENANCE, SIMULATION, PACKAGES, ENGINE_LOG, GIVEN, CONTROLS
 def differing_settings(a: Recording, b: Recording) -> tuple[Setting, ...]:
     """Everything of configuration, options, versions, machine and attachments that is not the same.
 
-    What belongs to a run alone, such as its id, time, command line and index, is left out.
+    What belongs to a run alone, such as its id, time, command line and index, is left out. Last come installed packages
+    that no recorder lists among those that compute.
     """
     of_a, of_b = dict(_told(a)), dict(_told(b))
     names = dict.fromkeys((*of_a, *of_b))
-    pairs = ((name, of_a.get(name, _UNSET), of_b.get(name, _UNSET)) for name in names)
-    return tuple(Setting(name, _short(x), _short(y)) for name, x, y in pairs if x != y)
+    pairs = ((name, of_a.get(name, UNSET), of_b.get(name, UNSET)) for name in names)
+    found = [Setting(name, _short(x), _short(y)) for name, x, y in pairs if x != y]
+    return tuple(sorted(found, key=lambda one: is_other_package(one, a, b)))
+
+
+def is_other_package(setting: Setting, a: Recording, b: Recording) -> bool:
+    """Whether it is of a package that was installed and that neither recorder lists among those that compute."""
+    listed = [one.provenance.software.get("packages", {}) for one in (a, b)]
+    name = setting.name.removeprefix(_PACKAGE)
+    return name != setting.name and not any(isinstance(one, dict) and name in one for one in listed)
 
 
 def _told(recording: Recording) -> Iterator[tuple[str, str]]:
@@ -89,7 +100,7 @@ def _packages(recording: Recording) -> Iterator[tuple[str, str]]:
     for line in (recording.attachment(PACKAGES) or b"").decode(errors="replace").splitlines():
         name, found, version = line.partition("==" if "==" in line else " @ ")
         if found:
-            yield f"software.packages.{name}", version
+            yield f"{_PACKAGE}{name}", version
 
 
 def _text(value: Any) -> str:

@@ -53,12 +53,12 @@ def pair_of(found: Difference, first: Divergence) -> str:
     return f"in env {first.env_a}"
 
 
-def apart(number: Number) -> str:
-    """How far two numbers are apart."""
+def apart(number: Number, *, named: bool = False) -> str:
+    """How far two numbers are apart; `named` as in in_ulps of words."""
     if number.field.startswith(f"{ENV}/") and number.field.endswith(IMAGE_HASH):
         return "hashes of images that differ"
     parts = [
-        f"{words.ulps(number.ulp)} ULP" if number.ulp is not None else "",
+        words.in_ulps(number, named=named),
         "same rotation, other sign" if number.other_sign else "",
         words.amount(number.distance, number.unit) if number.distance is not None else "",
     ]
@@ -79,7 +79,7 @@ def both_of(number: Number) -> str:
     resolution = ""
     if number.resolution is not None:
         resolution = f", resolution {words.amount(number.resolution, number.unit)}"
-    return f"{place_of(number)}: {values}: {apart(number)}{resolution}"
+    return f"{place_of(number)}: {values}: {apart(number, named=True)}{resolution}"
 
 
 def _who(found: Difference) -> str:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
-from gpusimbench.evaluator.diff.result import Change
+import numpy as np
+
+from gpusimbench.evaluator.diff.result import Change, Number
+from gpusimbench.evaluator.metrics.divergence import opposite_signs
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.text import cut, few
 
@@ -36,11 +39,25 @@ def amount(value: float | None, unit: str) -> str:
     return "0" if value == 0 else f"{value:.3g} {'' if unit in WITHOUT_UNIT else unit}".rstrip()
 
 
-def ulps(count: int | None) -> str:
-    """A distance in units in the last place."""
+def ulps(count: int | None, *, signs_differ: bool = False) -> str:
+    """A distance in units in the last place; of numbers of opposite signs it says nothing, and the signs do."""
     if count is None:
         return NONE
+    if signs_differ:
+        return "signs differ"
     return f"{count:,}" if count < 10**7 else f"{count:.2e}"
+
+
+def in_ulps(number: Number, *, named: bool = False) -> str:
+    """How far two numbers are apart in units in the last place; empty where nothing tells it.
+
+    named  the sentence names both; otherwise they are named here where the signs differ
+    """
+    if number.ulp is None:
+        return ""
+    if opposite_signs(*(np.array([float(text)]) for text in (number.a, number.b)))[0]:
+        return f"the signs differ{'' if named else f' ({number.a} and {number.b})'}"
+    return f"{ulps(number.ulp)} ULP"
 
 
 def counted(count: int, what: str) -> str:

@@ -62,6 +62,15 @@ def ulp_distance(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> np
     return np.asarray(np.maximum(first, second) - np.minimum(first, second), dtype=np.uint64)
 
 
+def opposite_signs(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    """Where one number is negative and the other is not, shape as broadcast; not between zeros, and of no NaN.
+
+    There `ulp_distance` counts all numbers down to zero and up again, which says nothing of how far the two are apart.
+    """
+    told = ~(np.isnan(a) | np.isnan(b) | ((a == 0) & (b == 0)))
+    return np.asarray(told & (np.signbit(a) != np.signbit(b)))
+
+
 def resolution(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
     """The spacing of representable numbers at the larger magnitude of two of one dtype, shape as broadcast.
 

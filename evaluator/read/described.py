@@ -8,7 +8,7 @@ from gpusimbench.evaluator.read.actions import apart_by_design
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.provenance import Provenance, Simulation
+from gpusimbench.schemas.provenance import LOGGED, Provenance, Simulation
 
 
 class Described(ABC):
@@ -50,6 +50,11 @@ class Described(ABC):
     def usable(self) -> bool:
         """Whether metrics may be computed from it: the run ended well and nothing was lost."""
         return self.status == "complete" and not self.dropouts
+
+    @property
+    def of_program(self) -> bool:
+        """Whether a program logged it, and no adapter of gsb-record stepped the engine."""
+        return self.simulation is not None and self.simulation.fresh_start == LOGGED
 
     @property
     def fields(self) -> tuple[StateField, ...]:

@@ -10,7 +10,7 @@ from itertools import groupby
 import numpy as np
 
 from gpusimbench.evaluator.diff.result import Setting
-from gpusimbench.evaluator.diff.settings import differing_settings
+from gpusimbench.evaluator.diff.settings import UNSET, differing_settings
 from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes
 from gpusimbench.evaluator.read.episodes import Episode, episodes
@@ -114,7 +114,9 @@ def compare(original: Recording, replay: Recording, *, success: str | None, at: 
         settings=tuple(
             one
             for one in differing_settings(original, replay)
-            if one.name.startswith(causes) and not one.name.startswith(_NO_CAUSES)
+            if one.name.startswith(causes)
+            and not one.name.startswith(_NO_CAUSES)
+            and not (of_data_set and one.a == UNSET)  # which most data sets do not tell
         ),
         of_data_set=of_data_set,
     )

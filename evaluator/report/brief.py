@@ -154,9 +154,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for asked in evaluation.probed:
         yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings)}")
     for sweep in evaluation.sweeps:
-        if sweep.long and any(
-            "timed" in run.configuration.phases for point in sweep.points for run in point.recordings
-        ):
+        if sweep.long and sweep.measured:
             yield Text(sweep_sentence(sweep))
     for family in evaluation.convergences:
         yield Text(sentence(family))
@@ -188,7 +186,7 @@ def _troubles(evaluation: Evaluation) -> Iterator[Text]:
         yield Text(line, Tone.WARNING)
     if len(lines) > 1:
         yield Text(f"{len(lines) - 1} more reasons why throughputs cannot be compared: --all", Tone.WARNING)
-    if evaluation.reference is None:
+    if evaluation.reference is None and not evaluation.of_programs:
         yield Text(f"no distance to reality: {evaluation.reference_note}", Tone.QUIET)
 
 

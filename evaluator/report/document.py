@@ -85,7 +85,12 @@ def report(source: Source) -> Document:
 
 def _title(source: Source) -> str:
     names = list(dict.fromkeys(r.group.key.simulator for r in source.evaluation.results))
-    return TITLE if len(names) != 1 else f"Does {names[0]} repeat itself, is it right, and how fast is it?"
+    if len(names) != 1:
+        return TITLE
+    asked = [f"Does {names[0]} repeat itself"]
+    asked += ["is it right"] if source.evaluation.of_bodies else []
+    asked += ["how fast is it"] if source.evaluation.timed else []
+    return f"{', and '.join([', '.join(asked[:-1]), asked[-1]]) if len(asked) > 1 else asked[0]}?"
 
 
 def in_short(source: Source) -> Document:

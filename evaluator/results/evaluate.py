@@ -122,7 +122,7 @@ def evaluate(
         notes.append(
             f"the recordings break rules of {PROTOCOL} {_times(protocol.whole.count)}: gsb-check --protocol names them"
         )
-    if protocol.elsewhere:
+    if protocol.elsewhere and not all(run.of_program for run in distinct):
         named = ", ".join(protocol.elsewhere)
         notes.append(f"{PROTOCOL} is for the benchmark's own scenes, and is not asked of {named}")
     found = [

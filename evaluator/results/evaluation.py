@@ -15,6 +15,7 @@ from gpusimbench.evaluator.results.ranking import Comparison
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map
 from gpusimbench.evaluator.results.sweeps import Sweep
+from gpusimbench.schemas.fields import ENV
 
 SCHEMA_VERSION = 1
 """Version of the JSON that ``gsb-eval --json`` prints."""
@@ -56,6 +57,28 @@ class Evaluation:
     shorter: Mapping[str, float] = field(default_factory=dict)
     probed: tuple[Probed, ...] = ()
     convergences: tuple[Convergence, ...] = ()
+
+    @property
+    def of_programs(self) -> bool:
+        """Whether programs logged all recordings: there no real trials and no protocol are to be expected."""
+        return all(run.of_program for result in self.results for run in result.group.recordings)
+
+    @property
+    def placed(self) -> bool:
+        """Whether states of bodies or joints were captured, and not arrays of a task alone."""
+        groups = [result.group for result in self.results if result.group.captured]
+        return any(field.group != ENV for group in groups for run in group.recordings for field in run.fields)
+
+    @property
+    def of_bodies(self) -> bool:
+        """Whether where bodies end can be asked: not of tasks, of which programs logged arrays alone."""
+        return self.placed or not self.of_programs
+
+    @property
+    def timed(self) -> bool:
+        """Whether some run was timed."""
+        runs = (run for result in self.results for run in result.group.recordings)
+        return any("timed" in run.configuration.phases for run in runs)
 
     def sampled_at(self, scene: str) -> float:
         """Simulated time at which positions of a scene are compared [s]."""

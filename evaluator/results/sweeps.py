@@ -107,6 +107,11 @@ class Sweep:
         return len(self.points) >= LONG
 
     @property
+    def measured(self) -> bool:
+        """Whether it says how far an engine goes or what that costs: a run was timed, or a larger number failed."""
+        return self.limited or any("timed" in r.configuration.phases for p in self.points for r in p.recordings)
+
+    @property
     def limited(self) -> bool:
         """Whether a larger number of environments failed, so that N_env^max is the engine's and not the user's."""
         return self.n_max is not None and self.points[-1].n_env > self.n_max

@@ -173,7 +173,7 @@ class StateWriter:
                 found = self._write_and_look(read, meanwhile, whole=whole, as_read=as_read)
         if not found:
             return None
-        row, env, what = min(found)
+        row, env, what = min(found, key=lambda place: place[:2])  # of those of one row, the first field
         return f"a state is not finite: step {first + row}, env {env}, {what}"
 
     def _begin(self) -> None:

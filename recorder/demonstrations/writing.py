@@ -37,14 +37,14 @@ def write(
     source: DataSet,
     *,
     spec_id: str,
-    keywords: Mapping[str, Any],
+    keywords: Mapping[str, Any] | None,
     dt: float,
 ) -> None:
     """Write a recording in which 16 environments at most go through the episodes, dealt in their order.
 
     path      of the recording
     source    the data set, of whose files the recording has the SHA-256, one after another
-    spec_id, keywords  of the environment, for Gymnasium's registry
+    spec_id, keywords  of the environment, for Gymnasium's registry; None where the data set does not tell the keywords
     dt        simulated time of a step [s]
 
     UsageError where the recording exists. DamagedRecording where episodes have different arrays.
@@ -83,7 +83,8 @@ def write(
         path, simulator=DATA_SET, version=source.version, scene=spec_id, n_env=n_env, dt=dt,
         steps=steps, fields=fields, view=(), compression="zstd", attachments=attached,
         options={
-            "autoreset_mode": Mode.DISABLED.value, SPEC_ID: spec_id, KEYWORDS: json.dumps(keywords, sort_keys=True),
+            "autoreset_mode": Mode.DISABLED.value, SPEC_ID: spec_id,
+            **({} if keywords is None else {KEYWORDS: json.dumps(keywords, sort_keys=True)}),
             "seeds": "not given", "source": source.path.name or source.name, "source_sha256": digest.hexdigest(),
             **({} if rewarded else {NOT_GIVEN: "reward"}),
         },

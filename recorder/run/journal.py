@@ -63,6 +63,11 @@ class Journal:
         self.problems.append((cause, problem))
         self.event("GATE", problem)
 
+    @property
+    def worth_capturing(self) -> bool:
+        """Whether states are of use: no gate fired, or a state is not finite, and those before it show why."""
+        return not self.problems or any(cause == "NOT_FINITE" for cause, _ in self.problems)
+
     def ask_gates(self, simulator: Simulator) -> None:
         """Note what the simulator says against its own steps."""
         for fired in simulator.gates():

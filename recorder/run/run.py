@@ -7,7 +7,8 @@
     capture    a fresh simulator; the full state of every environment, or the last states of those that fail
     import     of a model file: what the engine made of it, tried on a simulator of its own
 
-Validity gates are asked after the warm-up, after the timed phase and after the capture. What the engine counts
+Validity gates are asked after the warm-up, after the timed phase and after the capture. One that fired before the
+capture leaves it out, unless a state was not finite: the states before it show what happened. What the engine counts
 (contacts, rows, overflow bits) is kept for every captured step, and for the last step of the warm-up and of the timed
 phase. What the engine compiles for a phase, it compiles before it, under clocks of its own.
 
@@ -159,8 +160,10 @@ class Run:
             error = ended or error
             return "FAILED", _reason(error, journal.phase), cause_of(error)
         if journal.problems:
+            # what an engine says against itself does not say of what kind it is, and may follow from the rest
+            problems = sorted(journal.problems, key=lambda problem: problem[0] == "ENGINE")
             # a gate that fires in each phase is said once
-            return "INVALID", "; ".join(dict.fromkeys(text for _, text in journal.problems)), journal.problems[0][0]
+            return "INVALID", "; ".join(dict.fromkeys(text for _, text in problems)), problems[0][0]
         return "COMPLETE", "", ""
 
     def _struck(self, error: BaseException, phase: str) -> GsbError | None:
@@ -255,7 +258,7 @@ class Run:
                 if "timed" in configuration.phases:
                     warm_up_and_time(journal, watch, engine, description, configuration, self._progress)
                     watch.checkpoint("final")
-                if "capture" in configuration.phases and not journal.problems:
+                if "capture" in configuration.phases and journal.worth_capturing:
                     if "timed" in configuration.phases:
                         watch.use_allocator(None)
                         self._progress(REBUILD, 0, 1)
@@ -263,7 +266,10 @@ class Run:
                         self._progress(COMPILE, 0, 1)
                         journal.compile(engine.simulator, "capture")
                     with Phase(journal, watch, "capture"):
+                        before = len(journal.problems)
                         captured.run(engine.simulator, description)
+                        if before and all(cause != "NOT_FINITE" for cause, _ in journal.problems[before:]):
+                            journal.gate(_too_short(configuration), "NOT_FINITE")
                 if "timed" not in configuration.phases:
                     watch.checkpoint("final")
                 watch.drain()
@@ -292,6 +298,12 @@ def _end_watch(journal: Journal, watch: Watch) -> None:
     watch.stop()
     for failed in watch.failures():
         journal.event("NOTE", failed)
+
+
+def _too_short(c: RunConfiguration) -> str:
+    timed = c.warmup + c.timed_steps
+    more = f": --steps {timed} captures as many as were stepped before" if c.steps < timed else ""
+    return f"the states of the capture are finite up to its last step, {c.steps}{more}"
 
 
 def _reason(error: BaseException, phase: str) -> str:

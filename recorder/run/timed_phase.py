@@ -81,7 +81,7 @@ def warm_up_and_time(
         # Two hashes at steps that the capture may pass as well: equal ones show that capturing changed nothing.
         declare_fingerprints(sink, "timed")
         write_fingerprints(sink, "timed", np.stack(hashes), first_step=warmup, stride=steps, dt=configuration.dt)
-        _ask_finite(journal, state, steps)
+        _ask_finite(journal, state, configuration)
         journal.count(with_motion(simulator.evidence(), description.fields, state), counted, warmup + steps)
         journal.ask_gates(simulator)
         write_applied(journal, simulator, configuration, warmup, steps)
@@ -90,7 +90,7 @@ def warm_up_and_time(
             if evidence := simulator.evidence():
                 for fired in counted.overflowed(evidence, first_step=warmup + steps):
                     journal.gate(fired, "BUFFER")
-            _ask_finite(journal, simulator.state(), steps)
+            _ask_finite(journal, simulator.state(), configuration)
             journal.ask_gates(simulator)
             if journal.problems:
                 break  # the run is INVALID, whatever else is timed
@@ -118,10 +118,13 @@ def _seconds(clocks: NDArray[np.int64]) -> float:
     return float(clocks[1, -1] - clocks[0, 0]) * 1e-9
 
 
-def _ask_finite(journal: Journal, state: States, steps: int) -> None:
-    if not all(np.isfinite(array).all() for array in state):
-        found = "--phases capture --keep failing tells which environment fails first, and keeps the steps before"
-        journal.gate(f"a state is not finite after {steps} timed steps: {found}", "NOT_FINITE")
+def _ask_finite(journal: Journal, state: States, configuration: RunConfiguration) -> None:
+    if all(np.isfinite(array).all() for array in state):
+        return
+    found = ""
+    if "capture" not in configuration.phases:
+        found = ": --phases capture --keep failing tells which environment fails first, and keeps the steps before"
+    journal.gate(f"a state is not finite after {configuration.timed_steps} timed steps{found}", "NOT_FINITE")
 
 
 def _step(simulator: Simulator, steps: int, interval: int) -> NDArray[np.int64]:

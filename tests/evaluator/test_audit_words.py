@@ -216,6 +216,8 @@ def test_replays_of_a_rung_are_counted() -> None:
         "largest distance 5,000 ULP over 6 recorded steps; 4 are allowed",
     ]
     assert said(same, turned, near)[2] == "largest distance 3 ULP over 7 recorded steps; 4 are allowed"
+    turned_over = replace(far, signs_differ=True)
+    assert said(turned_over)[2] == "numbers have opposite signs over 6 recorded steps; 4 ULP are allowed"
     assert said(replace(near, steps=0))[2] == "largest distance 3 ULP; 4 are allowed"
     assert ladder([replace(near, max_ulp=4)], lambda: "", max_ulps=4, originals=1).level is Level.WITHIN_ULPS
     assert said(turned)[2] == "follows from same-up-to-env-order"

@@ -19,6 +19,7 @@ from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
 from gpusimbench.evaluator.diff.numbers import Pairing
 from gpusimbench.evaluator.diff.result import Basis, Change, Difference, StepRange, Verdict
+from gpusimbench.evaluator.diff.verdict import both_of, verdict_of
 from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
@@ -106,6 +107,27 @@ def test_a_difference_is_found_where_it_was_put(
     assert (found.max_ulp, found.bit_identical, found.verdict) == (abs(count), False, Verdict.DIFFERENT)
     assert found.splits.agreeing == (Change(0, 3), Change(since, 2))
     assert found.splits.classes_b == tuple(1 if e == env else 0 for e in range(3))
+
+
+def test_opposite_signs_are_named_and_not_counted(tmp_path: Path) -> None:
+    """Say that signs differ, and both numbers: the numbers in between say nothing. JSON has their count."""
+
+    def turned(states: NDArray[Any]) -> None:
+        states[1, 0, 0] = -0.25
+
+    def placed(states: NDArray[Any]) -> None:
+        states[1, 0, 0] = 0.25
+
+    base = changed(still(), 0, placed)
+    found = compare(record(tmp_path, base), record(tmp_path, changed(base, 3, turned), run=1))
+    assert found.first is not None and found.first.state is not None
+    number = found.first.state.number
+    assert number.ulp is not None and number.ulp > 10**9
+    assert "the signs differ (0.25 and -0.25), 50 cm" in verdict_of(found).text
+    assert both_of(number).endswith(": the signs differ, 50 cm")
+    assert (found.signs_differ, found.compared.fields[0].signs_from) == (True, 3)
+    near = compare(record(tmp_path, base, run=2), record(tmp_path, changed(base, 3, by_ulps(2, 1, 0, 0)), run=3))
+    assert (near.signs_differ, near.compared.fields[0].signs_from) == (False, None)
 
 
 def test_equal_recordings_are_equal(tmp_path: Path) -> None:

@@ -145,7 +145,7 @@ def test_numbers_stay_whole_in_a_narrow_terminal(
     assert main([*map(str, runs), "--all"]) == 4
     shown = capsys.readouterr().out
     words = set(shown.split())
-    assert {"2,592", "3,888", "250", "2.05e+09", "2.12e+09", "0.0377"} <= words
+    assert {"2,592", "3,888", "250", "182,414", "0.0377"} <= words
     assert max(map(len, shown.splitlines())) <= max(width, 90)
 
 
@@ -254,6 +254,21 @@ def test_the_document_shows_what_is_printed(
         assert shown
         if expected:
             assert "\n".join(text.rstrip() for text in shown.splitlines()).strip() == expected
+
+
+def test_packages_that_compute_come_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Name what can explain numbers, and count the other packages of two Pythons behind it."""
+    runs = [ROOT / "recordings" / f"mujoco-{machine}-r0.mcap" for machine in ("amd", "xeon")]
+    assert main([*map(str, runs), "--json", str(tmp_path / "found.json")]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    found = json.loads((tmp_path / "found.json").read_text())
+    names = [one["name"] for one in found["settings"]]
+    deciding, others = names[: -found["other_packages"]], names[-found["other_packages"] :]
+    assert (
+        f"{len(names)} differ: {', '.join(deciding[:4])} and {len(deciding) - 4} more; and {len(others)} other" in shown
+    )
+    assert {"software.packages.numpy", "software.packages.jax", "software.python"} <= set(deciding)
+    assert "software.packages.pytest" in others and all(name.startswith("software.packages.") for name in others)
 
 
 def test_words() -> None:

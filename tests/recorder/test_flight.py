@@ -293,16 +293,43 @@ size=".02 .3"/></body></body></worldbody><actuator><position joint="hip" kp="500
 </actuator></mujoco>"""
 
 
+def _explodes(folder: Path, *arguments: object) -> tuple[str, str]:
+    (folder / "robot.xml").write_text(_BLOWS_UP)
+    run = ("gsb-record", "--sim", "mujoco", "--model", folder / "robot.xml", "--n-env", 2, "--runs", 1, "--steps", 60)
+    done = call(*run, *arguments, code=1)
+    return done.stdout.strip(), done.stderr
+
+
+_SHORT = ("--warmup", 5, "--timed-steps", 60)
+
+
 def test_a_robot_that_explodes(tmp_path: Path) -> None:
-    """Say what finds the environment, where the timed phase already is not finite, so that no state is captured."""
-    (tmp_path / "robot.xml").write_text(_BLOWS_UP)
-    run = ("gsb-record", "--sim", "mujoco", "--model", tmp_path / "robot.xml", "--n-env", 2, "--runs", 1, "--steps", 60)
-    short = ("--warmup", 5, "--timed-steps", 60)
+    """Say what finds the environment, where only the timed phase is made, so that no state is captured."""
     (advice,) = (
         line.partition("60 timed steps: ")[2].partition(" tells")[0].split()
-        for line in call(*run, *short, "--out", tmp_path / "timed", code=1).stderr.splitlines()
+        for line in _explodes(tmp_path, "--phases", "timed", *_SHORT, "--out", tmp_path / "timed")[1].splitlines()
         if "not finite after" in line
     )
-    (path,) = call(*run, *advice, "--out", tmp_path / "kept", code=1).stdout.split()
+    path, _ = _explodes(tmp_path, *advice, "--out", tmp_path / "kept")
     first, *_ = _failing(open_recording(path)).failures
     assert first.kind == "not finite" and first.item in ("hip", "knee")
+
+
+def test_states_up_to_the_explosion(tmp_path: Path) -> None:
+    """Capture the states of a run whose timed phase already is not finite, up to the first that is not."""
+    path, said = _explodes(tmp_path, *_SHORT, "--out", tmp_path)
+    recording = open_recording(path)
+    verify(recording)
+    assert (recording.status, recording.cause) == ("invalid", "not finite")
+    first, then, *_ = recording.reason.split("; ")
+    assert first == "a state is not finite after 60 timed steps"
+    step = int(then.removeprefix("a state is not finite: step ").partition(",")[0])
+    states = recording.state("joints", "qpos")[:]
+    assert np.isfinite(states[:step]).all() and not np.isfinite(states[step]).all()
+    assert f"step {step}, env 0, joints/" in said
+
+
+def test_a_capture_shorter_than_the_way_to_the_explosion(tmp_path: Path) -> None:
+    """Say how many steps reach the state that is not finite, where the capture ends before."""
+    _, said = _explodes(tmp_path, "--steps", 2, *_SHORT, "--out", tmp_path)
+    assert "finite up to its last step, 2: --steps 65 captures as many as were stepped before" in said

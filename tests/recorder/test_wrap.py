@@ -60,6 +60,15 @@ def walks(n_env: int, longest: int, mode: str) -> Any:
     )
 
 
+class Breaking(Walk):
+    """A walk whose place is not finite after the third step."""
+
+    def step(self, action: Any) -> Any:
+        self.last = 99
+        self.at[:] = np.nan if self.steps == 2 else self.at
+        return super().step(action)
+
+
 def acted(observation: Any) -> Any:
     """A policy: actions that follow from the observations alone."""
     return np.tanh(observation["at"] - observation["level"][:, None] / 50).astype(np.float32)
@@ -435,3 +444,12 @@ def test_episodes_that_cannot_be(numbers: list[float], tmp_path: Path) -> None:
         count_episodes(open_recording(tmp_path / "a.mcap"))
     shown = call("gsb-info", tmp_path / "a.mcap").stdout
     assert "episodes are not numbered from 0 on" in " ".join(shown.split())
+
+
+def test_an_observation_that_is_not_finite(tmp_path: Path) -> None:
+    """Name the array that a user looks at, and not the copy of it from before a reset."""
+    envs = wrap(gymnasium.vector.SyncVectorEnv([lambda: Breaking(99)] * 2), tmp_path / "x.mcap")
+    play(envs, 5)
+    envs.close()
+    found = open_recording(tmp_path / "x.mcap")
+    assert (found.status, found.reason) == ("invalid", "a state is not finite: step 3, env 0, env/observation_at")

@@ -33,7 +33,6 @@ from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import is_instrument
-from gpusimbench.schemas.fields import ENV
 
 _DEPENDS = (
     ("same at any N", "yes: the same initial state has the same bits among more or fewer envs, where probed", "number"),
@@ -74,9 +73,8 @@ def asked_of(evaluation: Evaluation) -> str:
     ]
     reference = evaluation.reference
     compared = f"; compared with {reference.label}" if reference else ""
-    groups = [r.group for r in results if r.group.captured]
-    placed = any(field.group != ENV for group in groups for run in group.recordings for field in run.fields)
-    return f"{', '.join(counts)}{f'; positions at {evaluation.sampled()}' if placed else ''}{compared}."
+    placed = f"; positions at {evaluation.sampled()}" if evaluation.placed else ""
+    return f"{', '.join(counts)}{placed}{compared}."
 
 
 def _matrix(evaluation: Evaluation) -> Table:

@@ -37,8 +37,9 @@ _MODEL = "memory model: bytes = fixed + per env x N"
 
 
 def section(source: Source) -> Section | None:
-    """None without a sweep."""
-    found = list(scene_sweeps(source.evaluation.sweeps))
+    """None without a sweep that measures something: tasks are recorded with several numbers of environments too."""
+    measured = [sweep for sweep in source.evaluation.sweeps if sweep.measured]
+    found = list(scene_sweeps(measured))
     if not found:
         return None
     blocks: list[Block] = []
@@ -46,7 +47,7 @@ def section(source: Source) -> Section | None:
         sweeps = plural(len(scene.sweeps), "sweep")
         parts, folded = tuple(_of_scene(scene)), len(found) > 1
         blocks.append(Section(f"scaling-{scene.scene}", scene.scene, parts, sweeps, folded=folded))
-    furthest = max((s for s in source.evaluation.sweeps if s.n_max), key=lambda s: s.n_max or 0, default=None)
+    furthest = max((s for s in measured if s.n_max), key=lambda s: s.n_max or 0, default=None)
     said = f"largest number of environments: {furthest.n_max:,} ({furthest.label})" if furthest else ""
     return Section("scaling", "Scaling over the number of environments", tuple(blocks), said, folded=True)
 

@@ -58,28 +58,31 @@ def section(source: Source) -> Section | None:
     results = source.shown
     if not results:
         return None
+    placed = source.evaluation.of_bodies
     bits, apart, joints, others = Reasons(), Reasons(), Reasons(), Reasons()
     distances = [W1_PARALLEL, W1_RUN_TO_RUN, *([W1_REAL] if source.evaluation.reference else [])]
     told = {DISTINCT_ENVS, DISTINCT_RUNS, EQUALITY_ENVS, EQUALITY_RUNS, REGIME, W1_PARALLEL, W1_RUN_TO_RUN, W1_REAL}
     told |= set(JOINT_METRICS)
     rest = [m for m in source.columns(TableOf.VARIABILITY) if m not in told and not m.name.endswith(SUFFIX)]
+    rest = rest if placed else [m for m in rest if m not in (LEFT_BOARD, SANK)]
     of_bits = [
         _distinct(DISTINCT_ENVS, EQUALITY_ENVS, bits),
         _distinct(DISTINCT_RUNS, EQUALITY_RUNS, bits),
-        (Column(REGIME.titled, REGIME.method), _type(bits)),
+        *([(Column(REGIME.titled, REGIME.method), _type(bits))] if placed else []),
     ]
     of_others = [column_of(m, others) if m not in (LEFT_BOARD, SANK) else _cubes(m, others) for m in rest]
-    of_bits += [(Column(m.titled, m.method), _distance(m, bits)) for m in distances]
+    of_bits += [(Column(m.titled, m.method), _distance(m, bits)) for m in distances if placed]
+    legend = [*types_of(results), _LEGEND[0], _LEGEND[-1]] if placed else []
     more = (
         ("distances", _DISTANCES, [*_apart(distances)], apart, _LEGEND),
         ("joints", _JOINTS, [column_of(metric, joints) for metric in JOINT_METRICS], joints, _JOINTS_LEGEND),
         ("others", _OTHERS, of_others, others, ()),
     )
     blocks: list[Block] = [
-        of_groups(source, "variability", _BITS, results, of_bits, bits, [*types_of(results), _LEGEND[0], _LEGEND[-1]]),
+        of_groups(source, "variability", _BITS, results, of_bits, bits, legend),
         *(part for one in more for part in _closed(source, *one)),
     ]
-    if not source.evaluation.reference:
+    if not source.evaluation.reference and not source.evaluation.of_programs:
         blocks.append(Text(f"No distance to real trials: {source.evaluation.reference_note}."))
     claims = [identical(r.metrics[DISTINCT_RUNS.name]).holds for r in results]
     compared = [holds for holds in claims if holds is not None]

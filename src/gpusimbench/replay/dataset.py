@@ -37,7 +37,7 @@ def converted(source: DataSet, arguments: argparse.Namespace) -> Path:
     finally:
         envs.close()
     with stage("reading the data set"):
-        keywords = told.keywords if origin.spec_id == told.spec_id else {}  # those of the original
+        keywords = told.keywords if origin.spec_id == told.spec_id else None  # those of the original
         episodes = source.read(arguments.episodes, space)
         write(episodes, path, source, spec_id=origin.spec_id, keywords=keywords, dt=dt)
     return path
