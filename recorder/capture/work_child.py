@@ -28,6 +28,11 @@ READ, HELD = 0, 1  # numbers of memories
 _RECORD_BYTES = 1024  # of a message beside its array, at most: heads, indexes
 _GROUP = 4  # ranges of environments that a thread looks at together
 _LOOK_S = 2.0  # between two looks at whether the process that is worked for is still there
+_OWN = {
+    signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP, signal.SIGSYS,
+    signal.SIGCHLD,
+}  # fmt: skip
+"""Signals of its own; others, such as SIGUSR1 of Slurm to all processes of a job, are for the other process."""
 
 
 class Task(NamedTuple):
@@ -160,8 +165,9 @@ def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Recor
 
 def main() -> None:
     """Work on what the arguments say: descriptors of the connection and of the memory."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # the other process decides when this one ends
+    for number in signal.valid_signals() - _OWN:
+        with suppress(OSError):  # of those that cannot be ignored
+            signal.signal(number, signal.SIG_IGN)  # the other process decides when this one ends
     connection = Connection(int(sys.argv[1]))
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         try:

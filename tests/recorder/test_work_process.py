@@ -263,6 +263,17 @@ def test_signals_of_the_user(number: signal.Signals, tmp_path: Path) -> None:
     assert whole(tmp_path / "a.mcap", 100)
 
 
+@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGQUIT, signal.SIGALRM, signal.SIGTSTP, signal.SIGRTMIN])
+def test_signals_to_all_processes_of_a_job(number: signal.Signals, tmp_path: Path) -> None:
+    """Go on where a scheduler sends a signal to all processes of a job, for the program to take."""
+    rows = drawn(100, 100)
+    with writer(tmp_path / "a.mcap") as log:
+        log.append(*(array[:60] for array in rows))
+        helper().send_signal(number)
+        log.append(*(array[60:] for array in rows))
+    assert whole(tmp_path / "a.mcap", 100)
+
+
 def test_a_copy_of_the_program(tmp_path: Path) -> None:
     """Refuse rows of a forked process, which leaves the recording as it is."""
     rows = drawn(100, 100)
