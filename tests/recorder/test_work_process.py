@@ -274,6 +274,20 @@ def test_signals_to_all_processes_of_a_job(number: signal.Signals, tmp_path: Pat
     assert whole(tmp_path / "a.mcap", 100)
 
 
+def test_a_handler_that_raises_while_the_process_starts(tmp_path: Path, process: pytest.MonkeyPatch) -> None:
+    """Let threads do the work then, of whatever is given from there on."""
+
+    def struck(self: work_process.WorkProcess, *seconds: float) -> Any:
+        raise Struck
+
+    process.setattr(work_process.WorkProcess, "_receive", struck)
+    with writer(tmp_path / "a.mcap") as log:
+        with pytest.raises(Struck):
+            log.append(*drawn(60, 100))
+        log.append(*drawn(60, 100))
+    assert whole(tmp_path / "a.mcap", 60)
+
+
 def test_a_copy_of_the_program(tmp_path: Path) -> None:
     """Refuse rows of a forked process, which leaves the recording as it is."""
     rows = drawn(100, 100)
