@@ -9,8 +9,7 @@ import sys
 import threading
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from multiprocessing.connection import Connection
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,9 @@ from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import expect
 from gpusimbench.schemas.mcap.assembly import Assembly, Buffer, Place, Records
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 READ, HELD = 0, 1  # numbers of memories
 _RECORD_BYTES = 1024  # of a message beside its array, at most: heads, indexes
@@ -165,6 +167,8 @@ def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Recor
 
 def main() -> None:
     """Work on what the arguments say: descriptors of the connection and of the memory."""
+    from multiprocessing.connection import Connection  # not where the other process loads this module
+
     for number in signal.valid_signals() - _OWN:
         with suppress(OSError):  # of those that cannot be ignored
             signal.signal(number, signal.SIG_IGN)  # the other process decides when this one ends

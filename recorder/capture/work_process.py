@@ -17,7 +17,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
-from multiprocessing.connection import Pipe
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +72,8 @@ class WorkProcess:
         """rows  that a block has at most
         size  bytes of all states; None: it is not known
         """
+        from multiprocessing.connection import Pipe  # takes 15 ms to load, which whoever starts no process is spared
+
         task = Task(_plain(fields), n_env, rows, dt, stride, may_fail, max(expected(), size or 0))
         self._owner = os.getpid()
         self._digests: dict[str, str] | None = None

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from enum import StrEnum
+from multiprocessing import connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -401,7 +402,7 @@ def test_no_process_can_be_started(tmp_path: Path, process: pytest.MonkeyPatch) 
     process.setattr(work_process, "LEAST_CPUS", 1)
     process.setattr(work_process, "LEAST_BYTES", 1)
     process.setattr(states, "_ALONE_BYTES", 1)
-    for where, what in ((subprocess, "Popen"), (work_process, "Pipe"), (os, "memfd_create")):
+    for where, what in ((subprocess, "Popen"), (connection, "Pipe"), (os, "memfd_create")):
         before = len(os.listdir("/proc/self/fd"))
         process.setattr(where, what, refused)
         with writer(tmp_path / f"{what}.mcap") as log:
@@ -409,6 +410,12 @@ def test_no_process_can_be_started(tmp_path: Path, process: pytest.MonkeyPatch) 
             assert not helpers()
         assert whole(tmp_path / f"{what}.mcap", 60)
         assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_what_is_loaded_without_a_process() -> None:
+    """Load what connects to the process only where one is started: it takes longer than the rest of the modules."""
+    code = "import sys; from gpusimbench import RecordingWriter; sys.exit('multiprocessing.connection' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_what_is_worth_a_process(process: pytest.MonkeyPatch) -> None:
