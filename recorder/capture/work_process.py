@@ -167,6 +167,8 @@ class WorkProcess:
     def _send(self, order: Order | None) -> None:
         if os.getpid() != self._owner:
             raise RuntimeError("the process that hashes and digests states works for another process")
+        if self._child.poll() is not None:
+            raise self._dead()  # sending would raise SIGPIPE, which ends a program that has its default action
         try:
             self._connection.send(order)
         except OSError:

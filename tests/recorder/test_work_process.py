@@ -304,6 +304,23 @@ def test_modules_of_the_user(tmp_path: Path, process: pytest.MonkeyPatch) -> Non
     assert not (tmp_path / "loaded").exists()
 
 
+def test_a_program_that_a_broken_pipe_ends(tmp_path: Path) -> None:
+    """Tell a program that SIGPIPE ends, as command-line tools often let it, that the process was killed."""
+    begins = _DIES[: _DIES.index("print")].replace("import drawn", "import drawn, helper")
+    code = f"""{begins}
+import signal
+signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+worker = helper()
+worker.kill()
+while worker.status() != "zombie":
+    pass
+log.append(*drawn(60, 100))
+"""
+    command = [sys.executable, "-c", code, str(tmp_path / "a.mcap")]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1 and f"DataLost: writing stopped: {KILLED}" in ended.stderr
+
+
 def test_a_program_without_standard_streams(tmp_path: Path) -> None:
     """Work for a program that has closed its standard input and output, whose numbers other files then have."""
     begins = _DIES[: _DIES.index("print")].replace("import drawn", "import drawn, helper")
