@@ -113,7 +113,7 @@ class StateWriter:
         self._process: WorkProcess | None = None
         size = None if n_row is None else n_row * row
         if not self.workers.alone and worthwhile(size):
-            with suppress(OSError):  # a system that gives no memory or no process: threads do the same
+            with suppress(Exception):  # no memory, no process, a program that lets none start: threads do the same
                 self._process = WorkProcess(
                     self.fields, n_env=n_env, rows=self._rows, dt=dt, stride=stride, may_fail=may_fail, size=size
                 )
@@ -178,14 +178,14 @@ class StateWriter:
 
     def _begin(self) -> None:
         # a process was begun with the writer, and takes a while until it works
-        self._begun = True
-        if self._process is not None and not self._process.ready():
-            self._process = None
-        if self._process is not None:
+        process, self._process = self._process, None  # threads go on where something strikes meanwhile
+        if process is not None and process.ready():
+            self._process = process
             self._sink.digest.add(self._process.digests)
             self._memory = self._process.shared.memories[READ]
         elif len(self._ranges.starts) > 1:
             self._memory = BlockMemory(self._ranges, self.fields, self._rows)
+        self._begun = True
 
     def _hold(self, kept: list[States], read: Read, keep: slice, *, whole: bool) -> list[States]:
         # rows in memory of their own, until the block is full

@@ -9,8 +9,7 @@ import sys
 import threading
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from multiprocessing.connection import Connection
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +23,18 @@ from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import expect
 from gpusimbench.schemas.mcap.assembly import Assembly, Buffer, Place, Records
 
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
 READ, HELD = 0, 1  # numbers of memories
 _RECORD_BYTES = 1024  # of a message beside its array, at most: heads, indexes
 _GROUP = 4  # ranges of environments that a thread looks at together
 _LOOK_S = 2.0  # between two looks at whether the process that is worked for is still there
+_OWN = {
+    signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP, signal.SIGSYS,
+    signal.SIGCHLD,
+}  # fmt: skip
+"""Signals of its own; others, such as SIGUSR1 of Slurm to all processes of a job, are for the other process."""
 
 
 class Task(NamedTuple):
@@ -160,8 +167,11 @@ def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Recor
 
 def main() -> None:
     """Work on what the arguments say: descriptors of the connection and of the memory."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # the other process decides when this one ends
+    from multiprocessing.connection import Connection  # not where the other process loads this module
+
+    for number in signal.valid_signals() - _OWN:
+        with suppress(OSError):  # of those that cannot be ignored
+            signal.signal(number, signal.SIG_IGN)  # the other process decides when this one ends
     connection = Connection(int(sys.argv[1]))
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         try:

@@ -7,16 +7,20 @@ only writing is left to do here.
 
 from __future__ import annotations
 
+import json
 import math
 import os
+import re
 import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from multiprocessing.connection import Pipe
+from contextlib import ExitStack, suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from gpusimbench.recorder.capture.state_work import Begun, Hashed, Message, Read, Stored
 from gpusimbench.recorder.capture.work_child import Order, Shared, Task
@@ -31,7 +35,10 @@ LEAST_BYTES = 64 << 20  # of states: starting the process takes about as long as
 _READY_S = 30.0
 _LOOK_S = 1.0
 _END_S = 10.0
-_MAIN = "import sys; sys.path[:] = {path!r}; from gpusimbench.recorder.capture.work_child import main; main()"
+_MAIN = "import sys; sys.path += {path!a}; from gpusimbench.recorder.capture.work_child import main; main()"
+_PYTHON = re.compile(r"python[\d.]*[dmtuw]*")
+_KEPT = ("PYTHONHOME", "PYTHONPLATLIBDIR", "PYTHONPYCACHEPREFIX")  # some Pythons do not start without
+_FIRST = 3  # descriptor that is none of the standard ones
 
 
 def worthwhile(size: int | None) -> bool:
@@ -40,7 +47,8 @@ def worthwhile(size: int | None) -> bool:
         hasattr(os, "memfd_create")
         and len(os.sched_getaffinity(0)) >= LEAST_CPUS
         and (size is None or size >= LEAST_BYTES)
-        and "python" in Path(sys.executable or "").name  # and no program that has an interpreter within
+        and not hasattr(sys, "frozen")
+        and _PYTHON.fullmatch(Path(sys.executable or "").name) is not None  # no program that has an interpreter within
     )
 
 
@@ -64,32 +72,34 @@ class WorkProcess:
         """rows  that a block has at most
         size  bytes of all states; None: it is not known
         """
-        task = Task(tuple(fields), n_env, rows, dt, stride, may_fail, max(expected(), size or 0))
+        from multiprocessing.connection import Pipe  # takes 15 ms to load, which whoever starts no process is spared
+
+        task = Task(_plain(fields), n_env, rows, dt, stride, may_fail, max(expected(), size or 0))
         self._owner = os.getpid()
         self._digests: dict[str, str] | None = None
-        memory = os.memfd_create("gsb-states")
-        self._connection, theirs = Pipe()
-        try:
+        with ExitStack() as here, ExitStack() as failing:
+            memory = _beyond(os.memfd_create("gsb-states"))
+            here.callback(os.close, memory)
+            self._connection, theirs = Pipe()
+            failing.callback(self._connection.close)
+            here.callback(theirs.close)
+            number = _beyond(os.dup(theirs.fileno()))
+            here.callback(os.close, number)
             self.shared = Shared(memory, task)
             with blocked():  # the user's interruption is not for it
-                # its path is given to it; a Python that needs PYTHONHOME does not start without
-                flags = ("-s", "-S") if "PYTHONHOME" in os.environ else ("-I", "-S")
-                numbers = (theirs.fileno(), memory)
                 self._child = subprocess.Popen(
-                    [sys.executable, *flags, "-c", _MAIN.format(path=_path()), *map(str, numbers)],
+                    [sys.executable, *_flags(), "-c", _MAIN.format(path=_path()), str(number), str(memory)],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
-                    pass_fds=numbers,
-                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+                    stderr=subprocess.DEVNULL,  # why it does not start is not the user's concern: threads do the same
+                    pass_fds=(number, memory),
+                    env=_environment(),
                 )
-            with suppress(OSError):  # it has died, and `ready` finds that out
+                failing.callback(self.close)
+            here.close()  # a process that has died reads nothing, and only then that is found out
+            with suppress(OSError):
                 self._connection.send(task)
-        except BaseException:
-            self._connection.close()
-            raise
-        finally:
-            theirs.close()
-            os.close(memory)
+            failing.pop_all()
 
     def ready(self) -> bool:
         """Whether the process works; returns once it does, and ends it where it does not."""
@@ -157,6 +167,8 @@ class WorkProcess:
     def _send(self, order: Order | None) -> None:
         if os.getpid() != self._owner:
             raise RuntimeError("the process that hashes and digests states works for another process")
+        if self._child.poll() is not None:
+            raise self._dead()  # sending would raise SIGPIPE, which ends a program that has its default action
         try:
             self._connection.send(order)
         except OSError:
@@ -184,10 +196,35 @@ class WorkProcess:
         return RuntimeError(f"the process that hashes and digests states {how}")
 
 
+def _flags() -> list[str]:
+    # its path is given to it; as -I, but that a Python that needs PYTHONHOME does not start without
+    return ["-s", "-S", "-P", *(["-B"] if sys.dont_write_bytecode else [])]
+
+
+def _environment() -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON") or name in _KEPT}
+    return {**kept, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
 def _path() -> list[str]:
-    # of this process, since a program may have changed it; this package may have been found by other means
+    # behind the standard library: first what is loaded here, then the rest of what this process has, since a program
+    # may have changed it. A user's logging.py in the working directory is not for the process
     from gpusimbench import schemas
 
-    path = [str(Path(folder).absolute()) for folder in sys.path]
-    ours = str(Path(schemas.__file__).absolute().parent.parent.parent)
-    return path if ours in path else [ours, *path]
+    loaded = Path(schemas.__file__).absolute().parents[2], Path(np.__file__).absolute().parents[1]
+    return list(dict.fromkeys([*map(str, loaded), *(str(Path(folder).absolute()) for folder in sys.path)]))
+
+
+def _plain(fields: Sequence[StateField]) -> tuple[StateField, ...]:
+    # names may be of classes of the user's, whose modules the process is not to load
+    return tuple(StateField.from_json(json.loads(json.dumps(asdict(field)))) for field in fields)
+
+
+def _beyond(descriptor: int) -> int:
+    # the same beyond the standard ones, which are taken where a program has closed them; the process has its own
+    import fcntl
+
+    try:
+        return fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, _FIRST)
+    finally:
+        os.close(descriptor)

@@ -10,6 +10,8 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from enum import StrEnum
+from multiprocessing import connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -263,6 +265,70 @@ def test_signals_of_the_user(number: signal.Signals, tmp_path: Path) -> None:
     assert whole(tmp_path / "a.mcap", 100)
 
 
+@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGQUIT, signal.SIGALRM, signal.SIGTSTP, signal.SIGRTMIN])
+def test_signals_to_all_processes_of_a_job(number: signal.Signals, tmp_path: Path) -> None:
+    """Go on where a scheduler sends a signal to all processes of a job, for the program to take."""
+    rows = drawn(100, 100)
+    with writer(tmp_path / "a.mcap") as log:
+        log.append(*(array[:60] for array in rows))
+        helper().send_signal(number)
+        log.append(*(array[60:] for array in rows))
+    assert whole(tmp_path / "a.mcap", 100)
+
+
+def test_a_handler_that_raises_while_the_process_starts(tmp_path: Path, process: pytest.MonkeyPatch) -> None:
+    """Let threads do the work then, of whatever is given from there on."""
+
+    def struck(self: work_process.WorkProcess, *seconds: float) -> Any:
+        raise Struck
+
+    process.setattr(work_process.WorkProcess, "_receive", struck)
+    with writer(tmp_path / "a.mcap") as log:
+        with pytest.raises(Struck):
+            log.append(*drawn(60, 100))
+        log.append(*drawn(60, 100))
+    assert whole(tmp_path / "a.mcap", 60)
+
+
+def test_modules_of_the_user(tmp_path: Path, process: pytest.MonkeyPatch) -> None:
+    """Load none of the user's modules in the process, whatever they are named and whatever names items have."""
+    for name in ("struct", "logging", "random", "hashlib", "mine"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'loaded')!r}, 'w')\n")
+    process.syspath_prepend(str(tmp_path))
+    body = StrEnum("body", {name.upper(): name for name in BODIES}, module="mine")
+    named = tuple(replace(field, items=tuple(body)) for field in FIELDS)
+    with writer(tmp_path / "a.mcap", fields=named) as log:
+        log.append(*drawn(60, 100))
+        assert helper()
+    assert whole(tmp_path / "a.mcap", 60)
+    assert not (tmp_path / "loaded").exists()
+
+
+def test_a_program_that_a_broken_pipe_ends(tmp_path: Path) -> None:
+    """Tell a program that SIGPIPE ends, as command-line tools often let it, that the process was killed."""
+    begins = _DIES[: _DIES.index("print")].replace("import drawn", "import drawn, helper")
+    code = f"""{begins}
+import signal
+signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+worker = helper()
+worker.kill()
+while worker.status() != "zombie":
+    pass
+log.append(*drawn(60, 100))
+"""
+    command = [sys.executable, "-c", code, str(tmp_path / "a.mcap")]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1 and f"DataLost: writing stopped: {KILLED}" in ended.stderr
+
+
+def test_a_program_without_standard_streams(tmp_path: Path) -> None:
+    """Work for a program that has closed its standard input and output, whose numbers other files then have."""
+    begins = _DIES[: _DIES.index("print")].replace("import drawn", "import drawn, helper")
+    code = f"import os; os.close(0); os.close(1)\n{begins}assert helper()\nlog.__exit__(*[None] * 3)"
+    assert subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.mcap")], check=False).returncode == 0
+    assert whole(tmp_path / "a.mcap", 60)
+
+
 def test_a_copy_of_the_program(tmp_path: Path) -> None:
     """Refuse rows of a forked process, which leaves the recording as it is."""
     rows = drawn(100, 100)
@@ -330,26 +396,43 @@ def test_the_program_is_killed(tmp_path: Path) -> None:
 
 def test_no_process_can_be_started(tmp_path: Path, process: pytest.MonkeyPatch) -> None:
     """Let threads do the work where there is no such Python, one that fails, and no memory for two processes."""
-    fails = tmp_path / "python-fails"
+    fails = tmp_path / "fails" / "python3"
+    fails.parent.mkdir()
     fails.write_text("#!/bin/sh\nexit 3\n")
     fails.chmod(0o755)
-    for number, executable in enumerate((tmp_path / "python-none", fails, Path("/bin/sh"))):
+    for number, executable in enumerate((tmp_path / "none" / "python3", fails, Path("/bin/sh"))):
         process.setattr(sys, "executable", str(executable))
         with writer(tmp_path / f"{number}.mcap") as log:
             log.append(*drawn(60, 100))
             assert not helpers()
         assert whole(tmp_path / f"{number}.mcap", 60)
+    process.setattr(sys, "executable", str(fails))
+    names = tuple(f"body-{i:030d}" for i in range(10_000))  # more than a connection holds that nobody reads
+    with writer(tmp_path / "names.mcap", n_env=1, fields=[body_field("cubes", "position", "float32", names)]) as log:
+        log.append(np.zeros((3, 1, len(names), 3), np.float32))
+    verify(open_recording(tmp_path / "names.mcap"))
     process.undo()
 
-    def none(name: str) -> int:
-        raise OSError(name)
+    def refused(*given: Any, **named: Any) -> Any:
+        raise OSError if named else RuntimeError  # as a hook of sys.addaudithook may
 
     process.setattr(work_process, "LEAST_CPUS", 1)
+    process.setattr(work_process, "LEAST_BYTES", 1)
     process.setattr(states, "_ALONE_BYTES", 1)
-    process.setattr(os, "memfd_create", none)
-    with writer(tmp_path / "a.mcap") as log:
-        log.append(*drawn(60, 100))
-    assert whole(tmp_path / "a.mcap", 60)
+    for where, what in ((subprocess, "Popen"), (connection, "Pipe"), (os, "memfd_create")):
+        before = len(os.listdir("/proc/self/fd"))
+        process.setattr(where, what, refused)
+        with writer(tmp_path / f"{what}.mcap") as log:
+            log.append(*drawn(60, 100))
+            assert not helpers()
+        assert whole(tmp_path / f"{what}.mcap", 60)
+        assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_what_is_loaded_without_a_process() -> None:
+    """Load what connects to the process only where one is started: it takes longer than the rest of the modules."""
+    code = "import sys; from gpusimbench import RecordingWriter; sys.exit('multiprocessing.connection' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_what_is_worth_a_process(process: pytest.MonkeyPatch) -> None:
@@ -359,3 +442,13 @@ def test_what_is_worth_a_process(process: pytest.MonkeyPatch) -> None:
     assert not work_process.worthwhile(99)
     process.setattr(work_process, "LEAST_CPUS", len(os.sched_getaffinity(0)) + 1)
     assert not work_process.worthwhile(None)
+    process.setattr(work_process, "LEAST_CPUS", 1)
+    for name in ("python", "python3", "python3.13t"):
+        process.setattr(sys, "executable", f"/usr/bin/{name}")
+        assert work_process.worthwhile(None)
+    process.setattr(sys, "frozen", True, raising=False)  # the program itself would start once more
+    assert not work_process.worthwhile(None)
+    process.delattr(sys, "frozen")
+    for name in (None, "", "/opt/kit", "/opt/python-viewer", "/opt/my_python"):
+        process.setattr(sys, "executable", name)
+        assert not work_process.worthwhile(None)
