@@ -16,6 +16,7 @@ SCRIPTS = (
     ("read_path",),
     ("action_storage",),
     ("capture_overhead",),
+    ("lock_wait",),
     ("archive",),
     ("transport",),
     ("transport_large",),
