@@ -29,7 +29,7 @@ def check_announced(configuration: RunConfiguration, simulation: Simulation, att
         ("device", s.device),
     ):
         if not text:
-            raise UsageError(f"the {what} of a recording has a name")
+            raise UsageError(f"a recording needs the name of its {what}")
     if c.simulator == REAL:
         raise UsageError(f"'{REAL}' is the name of measured trials: gsb-record --sim {REAL} records them")
     if c.compression not in COMPRESSIONS:
@@ -38,12 +38,12 @@ def check_announced(configuration: RunConfiguration, simulation: Simulation, att
     if c.run_index < 0:
         raise UsageError(f"run_index is at least 0, not {c.run_index}")
     if taken := sorted({PROVENANCE, PACKAGES, PROGRAM, SIMULATION, SCENE} & set(attachments)):
-        raise UsageError(f"attachments named {', '.join(taken)} are the recording's own")
+        raise UsageError(f"every recording has attachments named {', '.join(taken)}: choose other names")
     try:
         RunConfiguration.from_json(json.loads(json.dumps(c.to_json())))
         Simulation.from_json(s.to_json())
     except TypeError as error:  # such as numbers of numpy
-        raise UsageError(f"options, switches and counts are plain values: {error}") from None
+        raise UsageError(f"options, switches and counts must be values of JSON: {error}") from None
     except DamagedRecording as error:
         raise UsageError(f"the recording could not be read again: {error}") from None
     if s.env_origins and len(s.env_origins) != c.n_env:
@@ -52,7 +52,7 @@ def check_announced(configuration: RunConfiguration, simulation: Simulation, att
 
 def _check_fields(fields: Sequence[StateField]) -> None:
     if not fields:
-        raise UsageError("a recording of states has at least one field")
+        raise UsageError("a recording of states needs at least one field")
     if twice := [name for name, count in Counter(field.name for field in fields).items() if count > 1]:
         raise UsageError(f"two fields have the same group and name, {twice[0]}")
     for field in fields:

@@ -185,13 +185,14 @@ def _verified(files: list[Place]) -> list[Recording]:
 def _nothing_asked(recordings: list[Recording]) -> str:
     if any(field.group == ENV for recording in recordings for field in recording.fields):
         return (
-            "recordings of tasks answer only whether runs repeat, and no two of these are runs of one configuration; "
-            "gsb-diff A B compares the environments that two of them have in common, gsb-episodes their success"
+            "of recordings of tasks, gsb-probe asks only whether runs repeat, and no two of these recordings have the "
+            "same configuration; gsb-diff A B compares the environments that two recordings have in common, "
+            "gsb-episodes compares success rates"
         )
     failed = [recording for recording in recordings if recording.status not in ("complete", "incomplete")]
     if recordings and len(failed) == len(recordings):
         return f"no run ended well: {failed[0].path} is {failed[0].status}: {failed[0].reason}"
-    return "these recordings are no arms of a probe: nothing can be asked"
+    return "nothing to compare: gsb-probe needs runs of one configuration, or recordings that differ in one thing alone"
 
 
 def _prices(recordings: list[Recording]) -> tuple[Family, ...]:

@@ -131,14 +131,14 @@ def _why(group: Group[Run], others: Groups, across: Collection[str]) -> str:
     wanted = without_seeds(anywhere(group, across), group)
     alike = [g for g in others if without_seeds(anywhere(g, across), g) == wanted]
     if not alike:
-        said = "no group of the other side was asked for the same"
+        said = "the other side has no group of the same configuration"
         nearest = min((_apart(wanted, without_seeds(anywhere(g, across), g)) for g in others), key=len, default={})
         if not nearest:
             return said
         keys = {field.name for field in fields(GroupKey)}
         across_these = [f"--across {name}" for name in nearest if name in ACROSS or name not in keys]
-        how = f": {' '.join(across_these)} compares them" if len(across_these) == len(nearest) else ""
-        return f"{said}; the nearest differs in {few(list(nearest.values()), _NEAR)}{how}"
+        how = f"; {' '.join(across_these)} compares the two" if len(across_these) == len(nearest) else ""
+        return f"{said}; the most similar group differs in {few(list(nearest.values()), _NEAR)}{how}"
     if not any(_one_scene(group, g) for g in alike):
         return "the description of the scene differs on the other side"
     return "several groups were asked for the same, in different versions or conditions: compare them one at a time"

@@ -70,8 +70,8 @@ def warnings(of: Outcome) -> Iterator[str]:
         )
     if len(of.n_envs) > 1:
         yield (
-            f"recordings of {few(list(map(str, of.n_envs)), _NUMBERS)} environments are taken together: --across n_env "
-            "asks whether results depend on that number"
+            f"recordings of {few(list(map(str, of.n_envs)), _NUMBERS)} environments are evaluated together; --across "
+            "n_env tests whether results depend on that number"
         )
     if of.distinct_starts < _MOST_DISTINCT * of.episodes:
         yield (

@@ -35,7 +35,7 @@ _NOTES, _EPISODES = 2, 8
 _PLACE = ("scene", "device")
 """What names a table where there are several."""
 
-_TASKS = "Success rate and return with intervals: gsb-episodes{}. Where two recordings of a task part: gsb-diff A B."
+_TASKS = "Success rate and return with intervals: gsb-episodes{}. First difference of two recordings: gsb-diff A B."
 _ACROSS = ", by number of environments with --across n_env"
 
 MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."

@@ -142,7 +142,7 @@ class _Summary:
     def _take(self, record: Record) -> None:
         opcode, cursor = record.opcode, record.cursor(self._place)
         if opcode in _NOT_HERE:
-            raise damaged(self._place, f"its summary has a record of type {opcode}, which none can have")
+            raise damaged(self._place, f"its summary has a record of type {opcode}, which no summary may have")
         if opcode in (Op.SCHEMA, Op.CHANNEL):
             self._declared.take(record)
             self._channels += opcode == Op.CHANNEL
@@ -166,15 +166,14 @@ class _Summary:
         channels, places = array("H", [c for c, _ in listed]), array("Q", [at for _, at in listed])
         content, end = said.start + RECORD_HEAD, said.start + said.length
         if said.length != RECORD_HEAD + _CHUNK_HEAD + len(said.compression.encode()) + said.stored:
-            raise damaged(self._place, f"its index says of the chunk at byte {said.start} what cannot be")
+            raise damaged(self._place, f"the index entry of the chunk at byte {said.start} has contradictory lengths")
         if said.uncompressed_size > decompression.limit(said.compression, said.stored):
-            raise damaged(
-                self._place, f"its index says of the chunk at byte {said.start} that it becomes more than it can hold"
-            )
+            what = f"the chunk at byte {said.start} cannot decompress to the size in its index entry"
+            raise damaged(self._place, what)
         chunk = Chunk(said.compression, said.uncompressed_size, content, end - said.stored, end)
         found = IndexedChunk(chunk, said.first_time, said.last_time, channels, places, said.index_bytes)
         # each index takes a few bytes, and each message that is listed: what can be announced is less than the file
-        behind, wrong = end, f"its index says of the messages of the chunk at byte {said.start} what cannot be"
+        behind, wrong = end, f"the index entry of the chunk at byte {said.start} lists impossible messages"
         for at in sorted(places):
             if not behind <= at <= end + said.index_bytes - _INDEX_HEAD:
                 raise damaged(self._place, wrong)
@@ -187,7 +186,7 @@ class _Summary:
         content = said.start + RECORD_HEAD
         begin = content + 16 + 4 + len(said.name.encode()) + 4 + len(said.media_type.encode()) + 8
         if said.start + said.length != begin + said.data_size + 4:
-            raise damaged(self._place, f"its index says of the attachment {said.name} what cannot be")
+            raise damaged(self._place, f"the index entry of the attachment {said.name} has contradictory lengths")
         end = begin + said.data_size
         return Attachment(said.name, said.media_type, content, begin, end, said.log_time, said.create_time)
 
@@ -198,5 +197,7 @@ class _Summary:
         behind = len(MAGIC)
         for begin, end in sorted(taken):
             if begin < behind or end > self._data_end:
-                raise damaged(self._place, f"its index places a record at byte {begin}, where none can be")
+                raise damaged(
+                    self._place, f"the index places a record at byte {begin}, outside the data or in another record"
+                )
             behind = end

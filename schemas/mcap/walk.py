@@ -154,7 +154,7 @@ class Walk:
         head = ChunkHead.read(cursor)
         cursor.take(head.chunk.end - head.chunk.begin)
         if cursor.left and self._report is not None:
-            raise damaged(self._place, f"a chunk at byte {record.begin} holds another number of bytes than it says")
+            raise damaged(self._place, f"the chunk at byte {record.begin} is longer than its fields state")
         return head
 
     def inside(self, record: Record, head: ChunkHead) -> Iterator[Record]:
@@ -206,7 +206,7 @@ class Walk:
         cursor = record.cursor(self._place)
         found = Attachment.read(cursor)
         if found.end - found.begin + 4 > cursor.left or (self._report and found.end - found.begin + 4 != cursor.left):
-            raise damaged(self._place, f"the attachment {found.name} holds another number of bytes than it says")
+            raise damaged(self._place, f"the attachment {found.name} has a length other than its fields state")
         return found
 
     def attached(self, record: Record, found: Attachment) -> tuple[memoryview, bool]:

@@ -103,7 +103,7 @@ def _without_recordings() -> list[str]:
         ("gsb record --list", "simulators, where each is installed, and scenes"),
         ("gsb record --sim mujoco", "16 environments, 10 runs, into runs/"),
         ("gsb eval runs", "then: speed, memory and determinism of these runs"),
-        ("gsb run -- python train.py", "or is a program of yours reproducible, that calls gpusimbench.wrap?"),
+        ("gsb run -- python train.py", "or: is your program, which calls gpusimbench.wrap, reproducible?"),
     ]
     return ["There are no recordings here. To make some:", *map(_step, steps)]
 
@@ -115,7 +115,7 @@ def _of_sets(sets: list[Found]) -> Iterator[tuple[str, str]]:
     yield f"gsb eval {newest}", "speed, memory, determinism and physics"
     yield f"gsb eval {newest} --html report", "the same as a page with figures"
     if sets[0].programs:
-        yield f"gsb episodes {newest}", "success and return of a policy, of recordings of a task"
+        yield f"gsb episodes {newest}", "success rate and return of a policy on a task"
     yield f"gsb check {newest}", "whether the files are whole"
     yield f"gsb view {newest}", "environments in motion"
     if len(sets) > 1:

@@ -471,8 +471,9 @@ def test_what_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     code, document = compared(base, head, capsys=capsys)
     assert (code, document["verdict"], document["compared"]) == (5, "NOTHING COMPARED", [])
     assert {one["side"] for one in document["without_partner"]} == {"base", "head"}
-    said = "no group of the other side was asked for the same; the nearest differs in"
-    assert document["without_partner"][0]["reason"] == f"{said} cone: unset -> pyramidal: --across cone compares them"
+    said = "the other side has no group of the same configuration; the most similar group differs in"
+    reason = document["without_partner"][0]["reason"]
+    assert reason == f"{said} cone: unset -> pyramidal; --across cone compares the two"
     far = write_recording(base, None, n_env=9, dt=0.5, change=stamped(97))
     of_far = compared(base, head, capsys=capsys)[1]["without_partner"][1]["reason"]
     assert of_far == f"{said} n_env: 9 -> 1, dt: 0.5 -> 1.0, cone: unset -> pyramidal"

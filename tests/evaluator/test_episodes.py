@@ -367,7 +367,7 @@ def test_dependence_on_the_number_of_environments(tmp_path: Path, capsys: pytest
     assert episodes([*map(str, small), str(large), *arguments, "--json", str(tmp_path / "a.json")]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "success: no dependence on the number of environments can be told" in said
-    together = "recordings of 4, 64 environments are taken together: --across n_env asks whether results depend on that"
+    together = "recordings of 4, 64 environments are evaluated together; --across n_env tests whether results depend"
     assert together not in said
     assert episodes([*map(str, small), str(large), "--per-env", "4"]) == 0
     assert together in " ".join(capsys.readouterr().out.split())

@@ -376,7 +376,7 @@ def test_wrong_usage(arguments: tuple[str, ...], why: str, gsb_probe: Command, t
 def test_recordings_that_are_no_arms(gsb_probe: Command, tmp_path: Path) -> None:
     """Say that nothing can be asked of one recording, and refuse one that is damaged."""
     path = write_recording(tmp_path, grid(1))
-    assert "these recordings are no arms of a probe" in gsb_probe(path, code=5).stderr
+    assert "nothing to compare: gsb-probe needs runs of one configuration" in gsb_probe(path, code=5).stderr
     invalid = _write(tmp_path / "invalid", ARMS[0], status="INVALID", reason="a state is not finite").path
     assert f"no run ended well: {invalid} is invalid: a state is not finite" in gsb_probe(invalid, code=5).stderr
     path.write_bytes(path.read_bytes()[:-40])

@@ -607,7 +607,7 @@ def test_memory_of_a_summary(memory: Any) -> None:
     listed = b"".join(struct.pack("<HQ", i, len(head) + 49 + i) for i in range(1000))
     chunk = struct.pack("<QQQQI", 0, 0, len(head), 49, len(listed)) + listed + struct.pack("<QIQQ", 15_000, 0, 0, 0)
     memory.pipe("/lists", _with(data, beside=bytes(9 + 15_100), instead=_record(8, chunk)))
-    with pytest.raises(DamagedRecording, match="what cannot be"):
+    with pytest.raises(DamagedRecording, match="lists impossible messages"):
         open_recording("memory://lists")
 
 

@@ -153,5 +153,5 @@ def test_bytes_behind_what_a_chunk_holds(tmp_path: Path) -> None:
     first, again = (next(record for record in walk if record.opcode == Op.CHUNK) for walk in (plain, strict))
     head = plain.head(first)
     assert head.chunk.end == end
-    with pytest.raises(DamagedRecording, match="holds another number of bytes than it says"):
+    with pytest.raises(DamagedRecording, match="is longer than its fields state"):
         strict.head(again)

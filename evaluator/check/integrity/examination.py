@@ -96,7 +96,7 @@ def _examine_index(location: Location) -> Integrity:
         problems.skip(str(error), *(kind for kind in Kind if kind is not Kind.record))
         return Integrity(location, problems, None, str(error), None, None, None, None, complete=False)
     end = _end_of(location, found, problems)
-    problems.skip("the file is elsewhere and was not read as a whole", *(set(Kind) - {Kind.end, Kind.unconfirmed}))
+    problems.skip("the file is at an address and was not read as a whole", *(set(Kind) - {Kind.end, Kind.unconfirmed}))
     return Integrity(
         location, problems, recording, "", found, recording.provenance, recording.simulation, end, complete=False
     )
