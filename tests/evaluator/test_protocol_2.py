@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.check.protocol import _shell
+from gpusimbench.evaluator.check.rules.facts import applies, fact_of
 from gpusimbench.evaluator.check.rules.findings import check
-from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Scope, load_rules, parse_rules
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Rule, Scope, load_rules, parse_rules
+from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import ExitCode, UsageError
@@ -331,3 +334,12 @@ def test_an_extension_that_cannot_be(change: tuple[str, str], message: str) -> N
     """Say what is wrong with what is extended, or left out."""
     with pytest.raises(UsageError, match=message):
         parse_rules(_EXTENDS.replace(*change), "mine.toml")
+
+
+@pytest.mark.parametrize("rule", [rule for rule in RULES.rules if rule.of is not Scope.file], ids=lambda rule: rule.id)
+def test_rules_of_sets_need_no_open_file(rule: Rule) -> None:
+    """Evaluate what rules of sets and points ask of a run that was read and closed as of the open recording."""
+    recording = Recording(ROOT / "recordings" / "h100" / "mjx-jax-inclined-collision-n16-r0.mcap")
+    kept, opened = _shell(read_run(recording, 5.0)), _shell(recording)
+    assert fact_of(rule.fact, kept) == fact_of(rule.fact, opened)
+    assert [applies(name, kept) for name in rule.when] == [applies(name, opened) for name in rule.when]

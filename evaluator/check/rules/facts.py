@@ -189,7 +189,7 @@ FACTS: dict[str, Fact] = {
     ),
     "phases": Fact(FactType.list, "phases that began and ended", _phases),
     "asked": Fact(FactType.object, "all that was asked of the run but its number", _asked),
-    "status": Fact(FactType.text, "complete, failed, invalid or incomplete", lambda f: recording_of(f).status),
+    "status": Fact(FactType.text, "complete, failed, invalid or incomplete", lambda f: described_of(f).status),
     "complete": Fact(FactType.flag, "the run is complete and no data was lost", lambda f: described_of(f).usable),
     "run_id": Fact(FactType.text, "unique name of the run", lambda f: provenance_of(f).run_id),
     "content_hash": Fact(FactType.text, "identity of the content, by the end record", _content_hash),
@@ -235,7 +235,7 @@ CONDITIONS: dict[str, tuple[str, Callable[[Integrity], bool]]] = {
     "measured": ("these are real trials", lambda f: configuration_of(f).simulator == REAL),
     "timed": ("a timed phase was asked for", lambda f: "timed" in configuration_of(f).phases),
     "captured": ("a capture phase was asked for", lambda f: "capture" in configuration_of(f).phases),
-    "complete": ("the run is complete by its own word", lambda f: recording_of(f).status == "complete"),
+    "complete": ("the run is complete by its own word", lambda f: described_of(f).status == "complete"),
     "counted": ("contacts are counted in the timed phase", lambda f: work.contacts(recording_of(f)) is not None),
     "motion-counted": (
         "the recorder counted what moves at the begin and the end of the timed phase",
