@@ -12,9 +12,9 @@ from pathlib import Path
 
 from gpusimbench.recorder.abilities import listed
 from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import CAPTURE_MODES, MAX_ENVS, MAX_VIEW, OPTIONAL_PHASES, RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError, UsageError
-from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.treatment import Intervention
 from gpusimbench.schemas.writing import Taken, create, give_name
 

@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 
 live: AbstractContextManager[None] = nullcontext()
-"""Entered whenever something is printed: it takes a line of schemas.progress off the terminal."""
+"""Entered whenever something is printed: it takes a line of schemas.commands.progress off the terminal."""
 
 
 class Line(str):

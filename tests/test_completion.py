@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gpusimbench.schemas.completion import SHELLS
+from gpusimbench.schemas.commands.completion import SHELLS
 from tests.test_site import script
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("shtab") is None, reason="shtab is not installed")

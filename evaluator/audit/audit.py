@@ -31,10 +31,10 @@ from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.outcome import OutcomeArray, outcome_of
 from gpusimbench.evaluator.runs.positions import sample_positions
 from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Location
-from gpusimbench.schemas.progress import each
 from gpusimbench.schemas.provenance import REAL
 
 

@@ -9,8 +9,8 @@ from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.rules.findings import Unchecked, check
 from gpusimbench.evaluator.check.rules.rule import Level, load_rules
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.progress import each, sizes
 
 RULES = "integrity-1"
 

@@ -15,9 +15,9 @@ from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.diff.settings import differing_settings
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.progress import stage
 
 _ENVIRONMENTS = "environments"
 _PACKAGES = "software.packages."

@@ -10,8 +10,8 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import GsbError, UsageError
-from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.writing import write_file
 
 RECORDING = ("lz4", "mcap", "numpy", "protobuf", "psutil", "zstandard")

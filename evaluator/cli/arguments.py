@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place, is_address, shown
-from gpusimbench.schemas.progress import each, sizes
 from gpusimbench.schemas.text import show_document
 from gpusimbench.schemas.writing import write_file
 

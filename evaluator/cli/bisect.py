@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.schemas.commands.folder_lock import held
+from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from gpusimbench.schemas.folder_lock import held
-from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.text import line, show
 
 if TYPE_CHECKING:

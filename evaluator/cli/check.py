@@ -7,9 +7,9 @@ import sys
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_name, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.progress import each, sizes
 
 _EPILOG = """\
 exit codes:

@@ -17,9 +17,9 @@ from gpusimbench.evaluator.cli.arguments import (
     write_json,
 )
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place, place
-from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:

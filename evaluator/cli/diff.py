@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.schemas.commands.progress import each, sizes, stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.progress import each, sizes, stage
 from gpusimbench.schemas.text import show_document
 from gpusimbench.schemas.writing import write_file
 

@@ -10,11 +10,11 @@ import sys
 import warnings
 from collections.abc import Callable
 
-from gpusimbench.schemas.command_line import add_common
+from gpusimbench.schemas.commands.command_line import add_common
+from gpusimbench.schemas.commands.parser import Parser
+from gpusimbench.schemas.commands.progress import Progress
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import redacted, shown_argument
-from gpusimbench.schemas.parser import Parser
-from gpusimbench.schemas.progress import Progress
 from gpusimbench.schemas.text import line, show
 
 _NO_THREAD = "can't start new thread"

@@ -7,9 +7,9 @@ import sys
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, verified, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.progress import stage
 
 _EPILOG = """\
 An evaluation that stops at the first n finished episodes of many environments counts short episodes too often, the more

@@ -18,10 +18,10 @@ from gpusimbench.evaluator.cli.arguments import (
     store_of,
 )
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.schemas.commands.progress import stage
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place, place
-from gpusimbench.schemas.progress import stage
-from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import line, show, show_document
 from gpusimbench.schemas.writing import write_file, write_files
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.schemas.commands.folder_lock import held
+from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from gpusimbench.schemas.folder_lock import held
-from gpusimbench.schemas.parser import Parser
 
 _OUT = Path("fit")
 _BUDGET = 40

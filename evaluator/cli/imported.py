@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, verified, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.schemas.commands.parser import Parser
+from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.parser import Parser
-from gpusimbench.schemas.progress import each
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.imports.audit import Audit

@@ -7,9 +7,9 @@ import sys
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, write_json
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import Place, place
-from gpusimbench.schemas.progress import each, sizes
 from gpusimbench.schemas.text import block, show
 
 _EPILOG = """\

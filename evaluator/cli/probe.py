@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, verified, write_json
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.schemas.commands.folder_lock import held
+from gpusimbench.schemas.commands.parser import Parser
+from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.fields import ENV
-from gpusimbench.schemas.folder_lock import held
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.parser import Parser
-from gpusimbench.schemas.progress import each
 from gpusimbench.schemas.text import line, show
 from gpusimbench.schemas.treatment import QUANTITIES, VARIED_SPREAD, Vary
 

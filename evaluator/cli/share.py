@@ -20,9 +20,9 @@ from gpusimbench.evaluator.cli.arguments import (
 )
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.commands.progress import each, sizes, stage
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.progress import each, sizes, stage
 from gpusimbench.schemas.text import block, line, show
 
 if TYPE_CHECKING:

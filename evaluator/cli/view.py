@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.progress import stage
 from gpusimbench.schemas.text import line, show
 from gpusimbench.schemas.writing import write_file
 

@@ -31,8 +31,8 @@ from gpusimbench.evaluator.runs.cotenancy import notes as cotenant_notes
 from gpusimbench.evaluator.runs.cotenancy import with_peers
 from gpusimbench.evaluator.runs.groups import group, status_notes
 from gpusimbench.evaluator.statistics.families import able_to_reject, holm
+from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import ExitCode
-from gpusimbench.schemas.progress import each
 
 FEW_RUNS = 6
 """With fewer runs a side, a warning: five can give p = 2/252 at best, which few comparisons at once exhaust."""

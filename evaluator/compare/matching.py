@@ -11,8 +11,8 @@ from gpusimbench.evaluator.compare.seeds import seed_of, without_seeds
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, precisions
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import cut, few, first
 
 ACROSS = ("simulator", "determinism", "n_env", "warmup", "timed_steps")

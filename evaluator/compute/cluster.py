@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gpusimbench.evaluator.compute.cache.store import code_version
+from gpusimbench.schemas.commands.output import OfMainThread, unheard
 from gpusimbench.schemas.errors import GsbError, UsageError
-from gpusimbench.schemas.output import OfMainThread, unheard
 
 LOCAL = "local"
 """The address of a cluster that is started on this machine for one command."""

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from gpusimbench.schemas.commands.parent import signalled_at_its_end
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
-from gpusimbench.schemas.parent import signalled_at_its_end
 
 COMMAND = "gsb-record"
 PROGRAMS = "gsb-run"

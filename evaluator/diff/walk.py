@@ -15,9 +15,9 @@ from gpusimbench.evaluator.diff.result import FieldDifference, Growth
 from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement, Classes
 from gpusimbench.evaluator.diff.states import CommonStates
+from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.mixing import GOLDEN, mix
-from gpusimbench.schemas.progress import each
 
 _HASH_ROWS = 512
 

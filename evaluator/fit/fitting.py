@@ -17,9 +17,9 @@ from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses, errors_of, measured_tosses
 from gpusimbench.schemas import checks
+from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.progress import stage
 from gpusimbench.schemas.tosses import EVEN
 from gpusimbench.schemas.writing import write_file
 

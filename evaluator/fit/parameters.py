@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.suggestion import did_you_mean
 
 WIDEST = 10.0
 """A number is fitted between its start divided by this and its start times this."""

@@ -10,8 +10,8 @@ from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.read.stamp import Stamp, stamp_of
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.commands.progress import received, sizes
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.progress import received, sizes
 
 
 @dataclass(frozen=True)

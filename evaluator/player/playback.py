@@ -12,8 +12,8 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
-from gpusimbench.schemas.progress import each
 
 BUDGET_BYTES = 2_000_000
 """Of all clips of a page, as text."""

@@ -11,8 +11,8 @@ from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference, Verdict
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import NothingComparable, RecordingError
-from gpusimbench.schemas.progress import each
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.read.state_array import StateArray
+from gpusimbench.schemas.commands.progress import moved
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fingerprint import expect, fingerprint
-from gpusimbench.schemas.progress import moved
 
 _SHARE = 0.5  # of the time that a file takes to be read and verified
 _THREADS = 4  # that compute digests of different fields

@@ -48,9 +48,9 @@ from gpusimbench.evaluator.runs.toss_motion import (
     measured_tosses,
     set_every,
 )
+from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.progress import each
 from gpusimbench.schemas.provenance import REAL
 
 

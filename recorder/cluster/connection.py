@@ -18,8 +18,8 @@ from typing import Any
 
 from gpusimbench.recorder.cluster import agent
 from gpusimbench.recorder.interruption import SIGNALS, shielded
+from gpusimbench.schemas.commands.output import OfMainThread, unheard
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.output import OfMainThread, unheard
 
 LOCAL = "local"
 """Address that means: a cluster of this machine alone, for as long as the command runs."""

@@ -6,10 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.schemas.command_line import add_common
+from gpusimbench.schemas.commands.command_line import add_common
+from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.configuration import CAPTURE_MODES, USUAL_PHASES
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.provenance import REAL
 
 _EPILOG = """\

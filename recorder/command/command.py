@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 from gpusimbench.recorder.command.arguments import N_ENV, OUT, OUT_OF_REPLAYS, SCENE, SHORTHANDS, fill, parser
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.output import flush, show, show_document, show_path
+from gpusimbench.schemas.commands.progress import Progress, stage
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from gpusimbench.schemas.progress import Progress, stage
 from gpusimbench.schemas.provenance import REAL
-from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import block
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN, FromFile
 

@@ -6,8 +6,8 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.suggestion import did_you_mean
 
 FOLDER = Path(__file__).parent / "requirements"
 

@@ -9,8 +9,8 @@ import sys
 import time
 from contextlib import suppress
 
+from gpusimbench.schemas.commands.parent import signalled_at_its_end
 from gpusimbench.schemas.errors import ExitCode
-from gpusimbench.schemas.parent import signalled_at_its_end
 
 _PATIENCE_S = 5.0  # for processes that the kernel does not let end, such as those that wait for a disk
 _SET_CHILD_SUBREAPER = 36  # prctl(2)

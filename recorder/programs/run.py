@@ -18,8 +18,8 @@ from gpusimbench.recorder.programs.descendants import end_all
 from gpusimbench.recorder.programs.folder import VARIABLE, describe
 from gpusimbench.recorder.programs.memory import ProgramMemory
 from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.commands.parent import signalled_at_its_end
 from gpusimbench.schemas.errors import GsbError, UsageError
-from gpusimbench.schemas.parent import signalled_at_its_end
 from gpusimbench.schemas.writing import create
 
 GRACE_S = 10.0

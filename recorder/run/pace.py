@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gpusimbench.schemas.progress import duration
+from gpusimbench.schemas.commands.progress import duration
 
 COMPILE, REBUILD = "compile", "rebuild"
 BETWEEN = (COMPILE, REBUILD)

@@ -23,9 +23,9 @@ from gpusimbench.recorder.scenes.free_fall import free_fall
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
 from gpusimbench.recorder.scenes.pendulum import pendulum
 from gpusimbench.recorder.scenes.sliding_block import sliding_block
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.treatment import CONTROLS
 
 ENTRY_POINTS = "gsb.scenes"

@@ -13,9 +13,9 @@ from typing import Any
 from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.sets.sweep import Outcome, Place
 from gpusimbench.schemas import PARTIAL, topics
+from gpusimbench.schemas.commands.folder_lock import held
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError
-from gpusimbench.schemas.folder_lock import held
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.provenance import ENGINE_LOG, PROVENANCE, Provenance

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from gpusimbench.recorder.output import show_path
 from gpusimbench.recorder.process.launch import Result
 from gpusimbench.recorder.run.pace import Pace
-from gpusimbench.schemas.progress import Ticker, duration, is_terminal
+from gpusimbench.schemas.commands.progress import Ticker, duration, is_terminal
 from gpusimbench.schemas.text import line, show
 
 

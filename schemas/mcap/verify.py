@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from gpusimbench.schemas.commands.progress import moved
 from gpusimbench.schemas.mcap.contents import MAX_INDEX_BYTES, Contents, Message
 from gpusimbench.schemas.mcap.crc import combine
 from gpusimbench.schemas.mcap.declarations import Declarations
 from gpusimbench.schemas.mcap.records import INDEX_ENTRY, RECORD_HEAD, Attachment, Cursor, Op
 from gpusimbench.schemas.mcap.walk import Head, MessageHead, Walk, data_crc
-from gpusimbench.schemas.progress import moved
 
 _SHARE = 0.2  # of the time that a file takes to be read and verified
 _EXPECTED = (

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from gpusimbench.schemas.command_line import add_common
-from gpusimbench.schemas.parser import Parser
+from gpusimbench.schemas.commands.command_line import add_common
+from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.text import block, show
 
 

@@ -33,8 +33,8 @@ from gpusimbench.evaluator.report.sections.probed import depends, evidence
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.schemas.commands.folder_lock import held as held_by
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.folder_lock import held as held_by
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from gpusimbench.schemas.treatment import Initial, Intervention

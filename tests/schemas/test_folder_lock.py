@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from gpusimbench.schemas.commands.folder_lock import held
 from gpusimbench.schemas.errors import GsbError
-from gpusimbench.schemas.folder_lock import held
 
 
 def test_a_lock_is_held_once_and_leaves_nothing(tmp_path: Path) -> None:

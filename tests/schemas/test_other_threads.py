@@ -7,7 +7,7 @@ import sys
 from contextlib import redirect_stdout
 from threading import Thread
 
-from gpusimbench.schemas.output import OfMainThread
+from gpusimbench.schemas.commands.output import OfMainThread
 
 
 def test_other_threads_print_nothing() -> None:

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.schemas import progress
-from gpusimbench.schemas.progress import Progress, Stage, duration, each, moved, received, sizes, stage
+from gpusimbench.schemas.commands import progress
+from gpusimbench.schemas.commands.progress import Progress, Stage, duration, each, moved, received, sizes, stage
 from gpusimbench.schemas.text import line, show
 from tests.conftest import run_python
 
@@ -149,7 +149,7 @@ def test_a_command_that_takes_long() -> None:
     """Write lines on standard error from a thread, and JSON alone on standard output."""
     program = textwrap.dedent("""
         import sys, threading
-        from gpusimbench.schemas import progress
+        from gpusimbench.schemas.commands import progress
         progress.FIRST_S = progress._DRAWN_S = 0.01
         from gpusimbench.evaluator.check import integrity
         examine, drawn = integrity.examine, threading.Event()

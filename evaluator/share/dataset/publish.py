@@ -36,8 +36,8 @@ from gpusimbench.evaluator.share.dataset.manifest import (
     write_sums,
 )
 from gpusimbench.evaluator.share.dataset.personal import Personal, personal
+from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import GsbError, NothingComparable, UsageError
-from gpusimbench.schemas.progress import each, sizes
 from gpusimbench.schemas.text import few
 from gpusimbench.schemas.writing import write_files
 

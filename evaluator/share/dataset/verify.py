@@ -36,9 +36,9 @@ from gpusimbench.evaluator.share.dataset.manifest import (
 from gpusimbench.evaluator.share.dataset.places import SetPlace, place_of
 from gpusimbench.evaluator.share.dataset.publish import DESCRIBING, entries_of, table_sums
 from gpusimbench.evaluator.share.dataset.tables import compare_table
+from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, GsbError, Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place
-from gpusimbench.schemas.progress import each
 from gpusimbench.schemas.text import cut
 
 _SUMS_BYTES = 16 << 20

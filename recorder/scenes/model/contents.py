@@ -8,8 +8,8 @@ from typing import Any
 
 from gpusimbench.recorder.scenes.model.controls_file import controls_from
 from gpusimbench.schemas.action_generator import Controls, JointTargets
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.treatment import FromFile
 
 ACTIONS = "none, random, random:SPREAD (0 to 1, of each control range about its middle), keyframe or FILE.npz"

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from gpusimbench.schemas.suggestion import did_you_mean
+from gpusimbench.schemas.commands.suggestion import did_you_mean
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")
 CONES = ("elliptic", "pyramidal")

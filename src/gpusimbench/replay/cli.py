@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, verified, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.schemas.commands.parser import Parser
+from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, GsbError, NotARecording, UsageError
 from gpusimbench.schemas.location import Place, place
-from gpusimbench.schemas.parser import Parser
-from gpusimbench.schemas.progress import stage
 from gpusimbench.schemas.text import line, show
 
 if TYPE_CHECKING:

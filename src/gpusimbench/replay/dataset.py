@@ -7,8 +7,8 @@ from pathlib import Path
 
 from gpusimbench.recorder.demonstrations.data_set import DataSet
 from gpusimbench.replay.origin import Origin, given, told_or_named
+from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.progress import stage
 
 
 def converted(source: DataSet, arguments: argparse.Namespace) -> Path:

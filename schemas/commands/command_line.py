@@ -5,8 +5,8 @@ from __future__ import annotations
 import textwrap
 
 from gpusimbench import schemas
-from gpusimbench.schemas.completion import SHELLS, Names, PrintCompletion
-from gpusimbench.schemas.parser import HelpAll, Parser
+from gpusimbench.schemas.commands.completion import SHELLS, Names, PrintCompletion
+from gpusimbench.schemas.commands.parser import HelpAll, Parser
 
 _WIDTH = 118
 

@@ -1,0 +1,1 @@
+"""What recorder and evaluator need to be commands."""
