@@ -58,4 +58,4 @@ def shown_seeds(option: str, value: str) -> str:
         return f"{numbers[0]}..{numbers[-1]}"
     if len(value) <= _LONGEST:
         return value
-    return f"{value.count(',') + 1} of hash {hashlib.sha256(value.encode()).hexdigest()[:8]}"
+    return f"{value.count(',') + 1} with hash {hashlib.sha256(value.encode()).hexdigest()[:8]}"

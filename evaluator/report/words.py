@@ -118,8 +118,8 @@ def model(found: MemoryModel) -> str:
         f"{size(found.fixed)} (± {size(found.fixed_se)}) + {size(found.per_env)} (± {size(found.per_env_se)}) per env, "
         f"from {len(found.n)} points"
     )
-    worst = f"{found.largest_residual:.0%} at N = {found.worst_n:,}"
-    return f"{line}; off by at most {worst}" if found.holds else f"{line}; does NOT hold: off by {worst}"
+    worst = f"largest error {100 * found.largest_residual:.0f} %, at N = {found.worst_n:,}"
+    return f"{line}; {worst}" if found.holds else f"{line}; does NOT hold: {worst}"
 
 
 def equality(metric: Estimate) -> str:

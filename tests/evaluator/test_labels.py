@@ -43,8 +43,8 @@ def named(folder: Path, *kinds: dict[str, Any]) -> list[str]:
             [
                 "synthetic [seeds=5..68]",
                 "synthetic [seeds=5..69]",
-                "synthetic [seeds=65 of hash 88520199]",
-                "synthetic [seeds=65 of hash f00bfa6f]",
+                "synthetic [seeds=65 with hash 88520199]",
+                "synthetic [seeds=65 with hash f00bfa6f]",
                 "synthetic [seeds=7, 5]",
             ],
         ),
