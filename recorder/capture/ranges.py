@@ -16,6 +16,7 @@ _ENV_BLOCKS = 64
 _BLOCK_BYTES = 4 << 20
 _RING_BYTES = 128 << 20
 _ALIGNED = 64  # bytes
+_GROUP = 4  # ranges of environments that a thread reads and looks at together
 
 Arrays = tuple[NDArray[np.floating], ...]
 """One array per state field."""
@@ -50,9 +51,9 @@ class Ranges:
         even = n_env // env_block(n_env)
         self.alike = [ranges for ranges in (range(even), range(even, len(self.starts))) if ranges]
 
-    def groups(self, most: int) -> list[range]:
-        """Numbers of at most so many ranges of one size that follow each other."""
-        return [ranges[at : at + most] for ranges in self.alike for at in range(0, len(ranges), most)]
+    def groups(self) -> list[range]:
+        """Numbers of a few ranges of one size that follow each other: the share of a thread."""
+        return [ranges[at : at + _GROUP] for ranges in self.alike for at in range(0, len(ranges), _GROUP)]
 
     def envs(self, ranges: range) -> slice:
         """Environments of ranges that follow each other."""

@@ -25,7 +25,6 @@ from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import ALGORITHM
 
 _ALONE_BYTES = 2 << 20  # blocks up to this size are not worth other threads: 1.1 MB took a fifth more time with two
-_GROUP = 4  # ranges of environments that a thread reads and looks at together
 
 
 def declare_fingerprints(sink: Sink, phase: str) -> None:
@@ -273,7 +272,7 @@ class StateWriter:
         if self._process is not None:  # few copies, as large as can be, none of which needs the interpreter
             groups = self._ranges.alike
             return Read(first, groups, [self._read(block, group) for group in groups])
-        groups = self._ranges.groups(_GROUP)
+        groups = self._ranges.groups()
         return Read(first, groups, list(self.workers.start(lambda group: self._read(block, group), groups)))
 
     def _read(self, block: Captured, ranges: range) -> States:

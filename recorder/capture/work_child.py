@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 READ, HELD = 0, 1  # numbers of memories
 _RECORD_BYTES = 1024  # of a message beside its array, at most: heads, indexes
-_GROUP = 4  # ranges of environments that a thread looks at together
 _LOOK_S = 2.0  # between two looks at whether the process that is worked for is still there
 _OWN = {
     signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP, signal.SIGSYS,
@@ -73,9 +72,7 @@ class Shared:
     def __init__(self, descriptor: int, task: Task) -> None:
         block, ranges = BlockMemory.size(task.n_env, task.fields, task.rows), Ranges(task.n_env)
         hashes = task.rows * task.n_env * 8
-        other = (
-            block + len(ranges.starts) * len(task.fields) * _RECORD_BYTES
-        )  # small messages may be all that there are
+        other = block + len(ranges.starts) * len(task.fields) * _RECORD_BYTES  # for small messages, their arrays too
         if os.fstat(descriptor).st_size == 0:
             os.ftruncate(descriptor, 2 * block + hashes + other)
         buffer = mmap.mmap(descriptor, 2 * block + hashes + other)
@@ -120,7 +117,7 @@ def work(connection: Connection, memory: int) -> None:
     connection.send("ready")
     # numba takes seconds to load, and hashes are the same without it
     threading.Thread(target=expect, args=(task.expected,), daemon=True).start()
-    groups = ranges.groups(_GROUP)
+    groups = ranges.groups()
     state_work = StateWork(
         task.fields, ranges, dt=task.dt, stride=task.stride, may_fail=task.may_fail, digest=digest,
         workers=Workers(small=False), hashes=lambda rows: shared.hashes[:rows],
