@@ -12,7 +12,6 @@ from gpusimbench.evaluator.diff.result import Basis
 from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement
 from gpusimbench.evaluator.diff.states import CommonStates, Ends
-from gpusimbench.evaluator.read.confirmed import unconfirmed
 
 Fields = tuple[CommonField, ...]
 
@@ -91,7 +90,7 @@ def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | Non
     for side in dict.fromkeys((a.recording, b.recording)):
         if side.status in ("failed", "invalid"):
             found.append(f"{side.path} is {side.status}: {side.reason}")
-        if side.status != "incomplete" and (why := unconfirmed(side.path)):
+        if why := side.unconfirmed:
             found.append(f"{side.path} is {why}")
     if a.recording is b.recording and a.recording.action_streams and not a.recording.action_names:
         found.append("actions were applied; environments that are given other actions differ by design")

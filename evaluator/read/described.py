@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 from gpusimbench.evaluator.read.actions import apart_by_design
+from gpusimbench.evaluator.read.confirmed import unconfirmed
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Place
@@ -50,6 +51,11 @@ class Described(ABC):
     def usable(self) -> bool:
         """Whether metrics may be computed from it: the run ended well and nothing was lost."""
         return self.status == "complete" and not self.dropouts
+
+    @property
+    def unconfirmed(self) -> str:
+        """Why a recording with an end record may not be on the disk; empty where nothing speaks against it."""
+        return unconfirmed(self.path) if self.status != "incomplete" else ""
 
     @property
     def of_program(self) -> bool:

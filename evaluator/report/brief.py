@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import name_of
 from gpusimbench.evaluator.probe.finding import verdict_of
-from gpusimbench.evaluator.read.confirmed import unconfirmed
 from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, Facts, Text, Tone, facts, table
 from gpusimbench.evaluator.render.numbers import plural
@@ -170,8 +169,8 @@ def _troubles(evaluation: Evaluation) -> Iterator[Text]:
         yield Text(f"left out: {failure.error}", Tone.BAD)
     if len(evaluation.unreadable) > 3:
         yield Text(f"left out: {len(evaluation.unreadable) - 3} more files that cannot be read", Tone.BAD)
-    runs = [run for result in evaluation.results for run in result.group.recordings if run.status != "incomplete"]
-    unsure = {run.path.name: why for run in runs if (why := unconfirmed(run.path))}
+    runs = [run for result in evaluation.results for run in result.group.recordings]
+    unsure = {run.path.name: why for run in runs if (why := run.unconfirmed)}
     for name, why in list(unsure.items())[:1]:  # before the notes, of which only some are printed
         more = f", and {plural(len(unsure) - 1, 'file')} more" if len(unsure) > 1 else ""
         yield Text(f"note: {name} is {why}{more}", Tone.WARNING)

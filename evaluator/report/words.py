@@ -9,6 +9,7 @@ from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.metrics.memory_model import MemoryModel
 from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd
 from gpusimbench.evaluator.results.details import (
     BetweenRuns,
@@ -24,7 +25,7 @@ from gpusimbench.evaluator.results.details import (
 from gpusimbench.evaluator.results.identity_metrics import identical
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.validity import BufferUse, Counted, OverflowSeen, Validity
-from gpusimbench.evaluator.runs.groups import Described, Group, shown_status
+from gpusimbench.evaluator.runs.groups import Group, shown_status
 from gpusimbench.evaluator.statistics.floor import Floor
 
 

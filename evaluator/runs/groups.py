@@ -8,39 +8,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
-from gpusimbench.evaluator.read.confirmed import unconfirmed
-from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
-
-
-class Described(Protocol):
-    """What an open recording and the summary of a closed one both tell."""
-
-    @property
-    def path(self) -> Place: ...
-    @property
-    def status(self) -> str: ...
-    @property
-    def reason(self) -> str: ...
-    @property
-    def cause(self) -> str: ...
-    @property
-    def usable(self) -> bool: ...
-    @property
-    def dropouts(self) -> tuple[str, ...]: ...
-    @property
-    def configuration(self) -> RunConfiguration: ...
-    @property
-    def provenance(self) -> Provenance: ...
-    @property
-    def simulation(self) -> Simulation | None: ...
-    @property
-    def fields(self) -> tuple[StateField, ...]: ...
-
+from gpusimbench.evaluator.read.described import Described
+from gpusimbench.schemas.provenance import REAL, engine_name
 
 _D = TypeVar("_D", bound=Described, covariant=True)
 _R = TypeVar("_R", bound=Described)
@@ -142,7 +113,7 @@ def status_notes(group: Group[Described]) -> list[str]:
         run = recording.configuration.run_index
         if recording.status != "complete":
             found.setdefault(f"{shown_status(recording)}: {recording.reason}", []).append(run)
-        if recording.status != "incomplete" and (why := unconfirmed(recording.path)):
+        if why := recording.unconfirmed:
             found.setdefault(why, []).append(run)
         for lost in recording.dropouts:
             found.setdefault(f"lost data: {lost}", []).append(run)

@@ -8,7 +8,8 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-from gpusimbench.evaluator.runs.groups import Described, GroupKey, precisions
+from gpusimbench.evaluator.read.described import Described
+from gpusimbench.evaluator.runs.groups import GroupKey, precisions
 from gpusimbench.schemas.provenance import engine_name
 from gpusimbench.schemas.text import cut, first
 from gpusimbench.schemas.treatment import initial_words

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
-from gpusimbench.evaluator.read.confirmed import unconfirmed
 from gpusimbench.evaluator.render.document import Block, Cell, Item, Items, Row, Section, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.source import Source
@@ -68,7 +67,7 @@ def _rows(evaluation: Evaluation) -> Iterator[Row]:
         for recording in result.group.recordings:
             if recording.status != "complete":
                 yield _row(recording.path, shown_status(recording), recording.reason or "no reason given")
-            if recording.status != "incomplete" and (why := unconfirmed(recording.path)):
+            if why := recording.unconfirmed:
                 yield _row(recording.path, "unconfirmed", why)
             for lost in recording.dropouts:
                 yield _row(recording.path, "lost data", lost)
