@@ -1,9 +1,11 @@
 """Timed phase of the recorder against a bare loop of the same engine and against the engine's own speed tool, in turn.
 
-usage: python -m benchmarks.engine_best --sim warp|mjx [--scene free-fall] [--n-env 1024] [--steps 500] [--rounds 3]
+usage: python -m benchmarks.engine_best --sim warp|mjx|genesis|newton|physx|isaaclab [--scene free-fall]
+           [--n-env 1024] [--steps 500] [--rounds 3] [--option NAME=VALUE ...]
 
-The bare loop does the recording's own work: its model, buffer sizes, initial state, warm-up, steps and actions. How
-equal the work was is printed: environments that end in the same state, bit for bit, and contacts of the last step.
+The bare loop (benchmarks.bare) does the recording's own work: its model, buffer sizes, initial state, warm-up, steps
+and actions. How equal the work was is printed: environments that end in the same state, bit for bit, and contacts of
+the last step.
 
 The speed tools (mjwarp-testspeed, mjx-testspeed) do other work: the recording's model (scene.xml) with the same number
 of environments and steps, but from states of their own, without a warm-up and without the scene's actions. Their ratio
@@ -12,6 +14,7 @@ is no claim. mjwarp-testspeed needs a GPU; where a tool cannot run, the line say
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -20,23 +23,33 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.arguments import parser
+from benchmarks.bare.work import Done
 from benchmarks.machine import machine, spread
-from benchmarks.work import Done
 from gpusimbench import open_recording
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.recorder.environments.choice import interpreter_for
+from gpusimbench.recorder.simulators.registry import find_simulator
+
+ROOT = Path(__file__).resolve().parent.parent
 
 WARMUP = 100
 
+BARE = ("warp", "mjx", "genesis", "newton", "physx", "isaaclab")
+"""Simulators that benchmarks.bare has a loop of."""
 
-def recorded(sim: str, scene: str, folder: Path, n_env: int, steps: int) -> Recording:
+
+def recorded(sim: str, scene: str, folder: Path, n_env: int, steps: int, options: list[str]) -> Recording:
     """A recording of the timed phase alone."""
     done = subprocess.run(
         [sys.executable, "-m", "gpusimbench.recorder.cli",
          "--sim", sim, "--scene", scene, "--n-env", str(n_env), "--runs", "1",
-         "--warmup", str(WARMUP), "--timed-steps", str(steps), "--phases", "timed", "--out", str(folder)],
-        check=True, capture_output=True, text=True,
+         "--warmup", str(WARMUP), "--timed-steps", str(steps), "--phases", "timed", "--out", str(folder),
+         *(word for option in options for word in ("--option", option))],
+        stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
+    if done.returncode:
+        sys.exit("the run did not complete")
     return open_recording(Path(done.stdout.strip()))
 
 
@@ -55,14 +68,23 @@ def buffers_of(recording: Recording) -> dict[str, int]:
     return {buffer.name: buffer.asked for buffer in recording.simulation.buffers}
 
 
-def bare(sim: str, recording: Recording) -> Done:
-    """A loop that does nothing but step, in a process of its own."""
-    command = [sys.executable, "-m", f"benchmarks.bare_{sim}", str(recording.path)]
-    return Done.read(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+def bare(recording: Recording, folder: Path) -> Done:
+    """A loop that does nothing but step, in a process of its own, by the Python that made the recording."""
+    python = interpreter_for(find_simulator(recording.configuration.simulator))
+    variables = python.environment(folder)
+    variables["PYTHONPATH"] = os.pathsep.join([variables["PYTHONPATH"], str(ROOT)])
+    command = python.command("-m", "benchmarks.bare", str(recording.path))
+    done = subprocess.run(command, env=variables, stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        sys.exit("the bare loop did not complete")
+    return Done.read(done.stdout)
 
 
-def tool(sim: str, model: Path, recording: Recording, steps: int) -> float | None:
-    """Env-steps/s that the engine's own speed tool prints; None where it does not run here."""
+def tool(sim: str, folder: Path, recording: Recording, steps: int) -> float | None:
+    """Env-steps/s that the engine's own speed tool prints; None where there is none, or it does not run here."""
+    if sim not in ("warp", "mjx"):
+        return None
+    model = model_of(recording, folder)
     n_env, sizes = str(recording.configuration.n_env), buffers_of(recording)
     assert recording.simulation is not None
     options = recording.simulation.options
@@ -84,8 +106,9 @@ def tool(sim: str, model: Path, recording: Recording, steps: int) -> float | Non
 def main() -> None:
     """Measure and print."""
     p = parser(__doc__, n_env=1024, steps=500, rounds=3)
-    p.add_argument("--sim", choices=("warp", "mjx"), required=True)
+    p.add_argument("--sim", choices=BARE, required=True)
     p.add_argument("--scene", default="free-fall")
+    p.add_argument("--option", action="append", default=[])
     a = p.parse_args()
     ours: list[float] = []
     loops: list[Done] = []
@@ -95,30 +118,33 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for _ in range(a.rounds):
-            recording = recorded(a.sim, a.scene, folder, a.n_env, a.steps)
+            recording = recorded(a.sim, a.scene, folder, a.n_env, a.steps, a.option)
             assert recording.simulation is not None
             device = recording.simulation.device
             ours.append(frames_per_second(a.n_env, a.steps, recording.timing["timed"].window_s))
-            model = model_of(recording, folder)
-            loops.append(bare(a.sim, recording))
-            contacts.append(float(recording.counts["timed"]["contacts"].mean[-1]))
-            found = tool(a.sim, model, recording, a.steps)
+            loops.append(bare(recording, folder))
+            if counted := recording.counts.get("timed", {}).get("contacts"):
+                contacts.append(float(counted.mean[-1]))
+            found = tool(a.sim, folder, recording, a.steps)
             tools += [] if found is None else [found]
     print(f"machine                        {machine()}, device {device}")
-    print(f"rounds                         {a.rounds}, {a.sim}, {a.scene}, {a.n_env} envs, {a.steps} steps")
+    engine = " ".join([a.sim, *a.option])
+    print(f"rounds                         {a.rounds}, {engine}, {a.scene}, {a.n_env} envs, {a.steps} steps")
     print(f"recorder, timed [env-steps/s]  {spread(ours, 0)}")
     rates = [loop.env_steps_per_s for loop in loops]
     print(f"bare loop, same work           {spread(rates, 0)}")
     ratios = [x / y for x, y in zip(ours, rates, strict=True)]
     print(f"ratio recorder / bare          {spread(ratios)}   claim: at least 0.98")
     print(f"same final states, of {a.n_env:5}    {spread([float(loop.same_states) for loop in loops], 0)}")
-    print(f"contacts an env, recorder      {spread(contacts, 2)}")
-    print(f"contacts an env, bare loop     {spread([loop.contacts for loop in loops], 2)}")
+    again = [loop.contacts for loop in loops if loop.contacts is not None]
+    if contacts and again:
+        print(f"contacts an env, recorder      {spread(contacts, 2)}")
+        print(f"contacts an env, bare loop     {spread(again, 2)}")
     if len(tools) == len(ours):
         print(f"the engine's speed tool        {spread(tools, 0)}")
         ratios = [x / y for x, y in zip(ours, tools, strict=True)]
         print(f"ratio recorder / tool          {spread(ratios)}   other states, no actions: no claim")
-    else:
+    elif a.sim == "warp":
         print("the engine's speed tool        does not run here (mjwarp-testspeed needs a GPU)")
 
 

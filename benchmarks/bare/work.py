@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.run.environment import apply_environment
 from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.fingerprint import fingerprint
 
 
@@ -22,12 +23,12 @@ class Done:
 
     env_steps_per_s  of its timed steps
     same_states      environments whose final state is that of the recording, bit for bit
-    contacts         of the last step, mean over environments
+    contacts         of the last step, mean over environments; None where the engine does not tell
     """
 
     env_steps_per_s: float
     same_states: int
-    contacts: float
+    contacts: float | None
 
     def show(self) -> None:
         """Print for ``read``."""
@@ -40,15 +41,24 @@ class Done:
 
 
 class Work:
-    """The work of one recording: scene, model options, environments, steps and actions."""
+    """The work of one recording of a registered scene.
 
-    def __init__(self, path: Path, options: type) -> None:
-        """options  dataclass of the simulator's options"""
+    asked    its configuration
+    scene    recorder.scenes.base.Scene
+    adapter  the recorder's class for the engine
+    options  of the engine, as the adapter parses them
+    buffers  sizes of the engine's buffers by name
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read; variables that the engine needs before it is imported are set."""
         recording = open_recording(path)
         assert recording.simulation is not None
         self.asked = recording.configuration
         self.scene = make_scene(self.asked.scene)
-        self.options = parse_options(self.asked.simulator, options, self.asked.options)
+        self.adapter = find_simulator(self.asked.simulator).adapter()
+        self.options = self.adapter.parsed(self.asked.simulator, self.scene, self.asked.options)
+        apply_environment(self.adapter.environment(self.options, self.asked.determinism))
         self.buffers = {buffer.name: buffer.asked for buffer in recording.simulation.buffers}
         hashes = recording.fingerprints("timed")
         assert hashes is not None
@@ -62,9 +72,6 @@ class Work:
             self.asked.seed, n_env=self.asked.n_env, first_step=first_step, n_step=n_step
         )  # fmt: skip
 
-    def same_states(self, compiled: Any, qpos: NDArray[np.floating], qvel: NDArray[np.floating]) -> int:
-        """Environments that are, bit for bit, where the timed phase of the recording ended.
-
-        compiled  recorder.simulators.mujoco.model.MjcfModel
-        """
-        return int((fingerprint(compiled.split(qpos, qvel)) == self._final).sum())
+    def same_states(self, state: States) -> int:
+        """Environments that are, bit for bit, where the timed phase of the recording ended."""
+        return int((fingerprint(state) == self._final).sum())
