@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.emit.deviations import LARGER, MEAN, combination, materials, other_restitution
 from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
 from gpusimbench.recorder.simulators.mujoco.options import one_of
 from gpusimbench.schemas.provenance import Deviation
@@ -68,25 +69,16 @@ def deviations(scene: Scene, options: BraxOptions) -> tuple[Deviation, ...]:
     mean of their restitutions, by Brax's.
     """
     solver, rebounds = options.solver, options.solver != "generalized" and options.restitution
-    found = [
-        Deviation(
-            "contact.friction_combination",
-            "not given",
-            "the larger coefficient of the two",
-            "rule of MJX, whose collision code Brax uses",
-        )
-    ]
+    found = [combination("friction", LARGER, "rule of MJX, whose collision code Brax uses")]
     if rebounds:
-        found.append(
-            Deviation("contact.restitution_combination", "not given", "the mean of the two coefficients", "Brax's rule")
-        )
-    for name, material in {body.material.name: body.material for body in scene.bodies}.items():
+        found.append(combination("restitution", MEAN, "Brax's rule"))
+    for material in materials(scene):
         used, why = _STATIC[solver]
         if solver == "generalized":
             used = str(material.kinetic_friction)
-        found.append(Deviation(f"{name}.static_friction", str(material.static_friction), used, why))
+        found.append(Deviation(f"{material.name}.static_friction", str(material.static_friction), used, why))
         if not rebounds:
             springs = "contacts are damped springs (solref, solimp), as MuJoCo's"
             why = springs if solver == "generalized" else "switched off"
-            found.append(Deviation(f"{name}.restitution", str(material.restitution), "0", why))
+            found.append(other_restitution(material, "0", why))
     return tuple(found)
