@@ -42,7 +42,7 @@ from gpusimbench.schemas.mcap.records import MAGIC
 from gpusimbench.schemas.patience import Patience, TooSlow
 from gpusimbench.schemas.remote import RemoteFile
 from tests.conftest import run_python
-from tests.evaluator.test_container import rewrite
+from tests.forging import copied
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT, commands, shell
 from tests.web import Web, serving
@@ -191,7 +191,7 @@ def test_files_of_other_writers(memory: Any, tmp_path: Path, compression: str) -
     ]
     for number, options in enumerate(ways):
         copy = tmp_path / f"{number}.mcap"
-        rewrite(original, copy, CompressionType[compression.upper()], **options)
+        copied(original, copy, compression=CompressionType[compression.upper()], **options)
         recording = open_recording(_put(memory, copy))
         verify(recording)
         assert np.array_equal(np.asarray(recording.state("cubes", "position")), whole), options
