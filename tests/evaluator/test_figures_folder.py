@@ -27,6 +27,7 @@ from gpusimbench.evaluator.report.paper.pdf import to_pdf
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from tests.conftest import finished
 from tests.synthetic import grid, write_recording, write_sweep
 
 HOSTILE = r"\input{/etc/passwd} $x^2$ & 50 % #1 {_} ~ <script> \x00"
@@ -80,9 +81,7 @@ def words(pdf: bytes, folder: Path) -> str:
     if shutil.which("pdftotext") is None:
         pytest.skip("no pdftotext to read PDF with")
     (folder / "a.pdf").write_bytes(pdf)
-    done = subprocess.run(
-        ["pdftotext", "-layout", str(folder / "a.pdf"), "-"], capture_output=True, text=True, check=True
-    )
+    done = finished(["pdftotext", "-layout", str(folder / "a.pdf"), "-"])
     return done.stdout
 
 

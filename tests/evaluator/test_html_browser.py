@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import shutil
-import subprocess
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.browser import Browser, needs_chromium
+from tests.conftest import finished
 from tests.synthetic import grid, write_recording, write_sweep
 
 pytestmark = needs_chromium
@@ -226,7 +226,7 @@ def test_the_print_is_whole(browser: Browser, page: Path, tmp_path: Path) -> Non
     browser.open(page)
     browser.evaluate(OPEN_ALL)
     browser.pdf(tmp_path / "page.pdf")
-    done = subprocess.run(["pdftotext", str(tmp_path / "page.pdf"), "-"], capture_output=True, text=True, check=True)
+    done = finished(["pdftotext", str(tmp_path / "page.pdf"), "-"])
     browser.open(page)
     printed = "".join(done.stdout.split())
     for heading in browser.evaluate("[...document.querySelectorAll('h2')].map(h => h.textContent)"):
