@@ -36,7 +36,7 @@ _HELD_BYTES = 64 << 20  # of messages that wait for those before them
 def open_source(place: Place) -> Source:
     """Open a file; RecordingError where it cannot be read."""
     if isinstance(place, Location):
-        from gpusimbench.schemas.remote import RemoteFile
+        from gpusimbench.schemas.remote.file import RemoteFile
 
         return RemoteFile(place)
     return MappedFile(place)
