@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
+from gpusimbench.recorder.options import names_of, parse_options
+from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")
@@ -90,6 +94,12 @@ class MjcfOptions:
         if len(values) != count or not all(map(math.isfinite, values)):
             raise ValueError(f"{name} is {count} finite numbers, not '{text}'")
         return values
+
+
+def own_options(scene: Scene, given: Mapping[str, str] = MappingProxyType({})) -> MjcfOptions:
+    """Those with which another engine's model is compiled: the given ones, and what a model file says itself."""
+    options: MjcfOptions = parse_options("mujoco", MjcfOptions, scene.options(given, names_of(MjcfOptions)))
+    return options
 
 
 def one_of(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
