@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gpusimbench.recorder.options import AT_LEAST_1, MEASURED, one_of, require
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.deviations import LARGER, MEAN, combination, materials, other_restitution
 from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
-from gpusimbench.recorder.simulators.mujoco.options import one_of
 from gpusimbench.schemas.provenance import Deviation
 
 SOLVERS = ("positional", "spring", "generalized")
@@ -40,15 +40,9 @@ class BraxOptions(JaxOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         one_of("solver", self.solver, SOLVERS)
-        for name in ("collide_scale", "baumgarte_erp"):
-            if not 0 < getattr(self, name) <= 1:
-                raise ValueError(f"{name} is a number above 0, at most 1")
-        for name in ("solver_iterations", "solver_maxls"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is at least 1")
-        for name in ("max_geom_pairs", "max_contact_points"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is 0 (measured) or a positive number")
+        require(self, (lambda v: 0 < v <= 1, "a number above 0, at most 1"), "collide_scale", "baumgarte_erp")
+        require(self, AT_LEAST_1, "solver_iterations", "solver_maxls")
+        require(self, MEASURED, "max_geom_pairs", "max_contact_points")
 
 
 _STATIC = {
