@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from typing import Any, get_type_hints
 
@@ -52,6 +53,31 @@ def parse_options(simulator: str, kind: type, given: Mapping[str, str]) -> Any:
 def names_of(kind: type) -> tuple[str, ...]:
     """Names of the options of a dataclass."""
     return tuple(field.name for field in fields(kind))
+
+
+def one_of(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
+    """ValueError where an option has none of the values that it may have."""
+    if value not in allowed:
+        known = list(map(str, allowed))
+        raise ValueError(f"{name} is one of {', '.join(known)}, not '{value}'{did_you_mean(str(value), known)}")
+
+
+Rule = tuple[Callable[[Any], bool], str]
+"""Whether a value may be an option's, and what it has to be, in words."""
+
+AT_LEAST_1: Rule = (lambda value: value >= 1, "at least 1")
+FROM_0: Rule = (lambda value: 0 <= value < math.inf, "a number from 0 on")
+ABOVE_0: Rule = (lambda value: 0 < value < math.inf, "a number above 0")
+NOT_NEGATIVE: Rule = (lambda value: value >= 0, "0 or a positive number")
+MEASURED: Rule = (lambda value: value >= 0, "0 (measured) or a positive number")
+
+
+def require(options: Any, rule: Rule, *names: str) -> None:
+    """ValueError for the first of these options whose value is against the rule."""
+    holds, said = rule
+    for name in names:
+        if not holds(value := getattr(options, name)):
+            raise ValueError(f"{name} is {said}, not {value}")
 
 
 def meanings(kind: type) -> dict[str, str]:

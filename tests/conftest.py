@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,13 +73,20 @@ def call(name: str, *arguments: object, code: int | None = None, **keywords: Any
     It runs in this process where nothing but its working directory and its environment is asked for (see in_process),
     and in a process of its own with any other keyword of subprocess.run.
     """
-    done: subprocess.CompletedProcess[str]
     if keywords.keys() - {"cwd", "env"}:
-        given = {"capture_output": True, "text": True, "timeout": 600, **keywords}
-        done = subprocess.run([*command(name), *map(str, arguments)], **given)
-    else:
-        done = in_process(name, *arguments, **keywords)
+        return finished([*command(name), *arguments], code=code, **{"timeout": 600, **keywords})
+    done = in_process(name, *arguments, **keywords)
     assert code in (None, done.returncode), f"{name} ended with {done.returncode}: {done.stdout}{done.stderr}"
+    return done
+
+
+def finished(words: Sequence[object], *, code: int | None = 0, **keywords: Any) -> subprocess.CompletedProcess[str]:
+    """Run a program of these words to its end, within 300 s where nothing else is said; AssertionError where it ends
+    with another exit code than `code`."""
+    given = {"capture_output": True, "text": True, "timeout": 300, **keywords}
+    done: subprocess.CompletedProcess[str]
+    done = subprocess.run(list(map(str, words)), **given)
+    assert code in (None, done.returncode), f"{words[0]} ended with {done.returncode}: {done.stdout}{done.stderr}"
     return done
 
 
@@ -87,11 +94,7 @@ def run_python(
     program: str, *arguments: object, code: int | None = 0, **keywords: Any
 ) -> subprocess.CompletedProcess[str]:
     """Run a program in a Python of its own; AssertionError where it ends with another exit code than `code`."""
-    given = {"capture_output": True, "text": True, "timeout": 300, **keywords}
-    done: subprocess.CompletedProcess[str]
-    done = subprocess.run([sys.executable, "-c", program, *map(str, arguments)], **given)
-    assert code in (None, done.returncode), f"ended with {done.returncode}: {done.stdout}{done.stderr}"
-    return done
+    return finished([sys.executable, "-c", program, *arguments], code=code, **keywords)
 
 
 def distribution(folder: Path, name: str, points: str, source: str = "") -> dict[str, str]:

@@ -35,43 +35,57 @@ def forge(
     message gives what is written of each message, by topic; only of topics that have one
     """
     digests: dict[str, str] = {}
-    channels: dict[int, str] = {}
+
+    def other(record: Any, topic: str) -> Any:
+        if isinstance(record, Attachment) and record.name == attachment:
+            document = json.loads(record.data)
+            change(document)
+            record.data = json.dumps(document).encode()
+            digests[attachment_name(attachment)] = hashlib.sha256(record.data).hexdigest()
+        if isinstance(record, Message):
+            data = message(topic, record.data)
+            if data != record.data:
+                alone = ContentDigest()
+                alone.message(topic, data)
+                digests.update(alone.digests())
+            record.data = _ended(data, digests if honest else {}, end) if topic == topics.RUN_END else data
+        return record
+
+    return copied(source, target, other, enable_data_crcs=True)
+
+
+def copied(
+    source: Path, target: Path, change: Callable[[Any, str], Any] = lambda record, topic: record, **options: Any
+) -> Path:
+    """Copy a recording as the official library writes it, record by record.
+
+    change   what stands in place of a record of the library's, given the topic of a message
+    options  of the library's writer
+    """
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, int] = {}
+    names: dict[int, str] = {}
     with source.open("rb") as stream, target.open("wb") as out:
-        writer = Writer(out, enable_data_crcs=True)
-        numbers: dict[int, int] = {0: 0}
-        targets: dict[int, int] = {}
-        for record in StreamReader(stream, validate_crcs=True).records:
-            match record:
+        writer = Writer(out, **options)
+        for record in StreamReader(stream).records:
+            made = change(record, names[record.channel_id] if isinstance(record, Message) else "")
+            match made:
                 case Header():
-                    writer.start(record.profile, record.library)
-                case Schema():
-                    numbers[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-                case Channel():
-                    channels[record.id] = record.topic
-                    targets[record.id] = writer.register_channel(
-                        record.topic, record.message_encoding, numbers[record.schema_id], record.metadata
+                    writer.start(made.profile, made.library)
+                case Schema() if made.id not in schemas:
+                    schemas[made.id] = writer.register_schema(made.name, made.encoding, made.data)
+                case Channel() if made.id not in channels:
+                    names[made.id] = made.topic
+                    channels[made.id] = writer.register_channel(
+                        made.topic, made.message_encoding, schemas[made.schema_id], made.metadata
                     )
                 case Attachment():
-                    data = record.data
-                    if record.name == attachment:
-                        document = json.loads(data)
-                        change(document)
-                        data = json.dumps(document).encode()
-                        digests[attachment_name(attachment)] = hashlib.sha256(data).hexdigest()
-                    writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, data)
+                    writer.add_attachment(made.create_time, made.log_time, made.name, made.media_type, made.data)
                 case Metadata():
-                    writer.add_metadata(record.name, record.metadata)
+                    writer.add_metadata(made.name, made.metadata)
                 case Message():
-                    topic = channels[record.channel_id]
-                    data = message(topic, record.data)
-                    if data != record.data:
-                        alone = ContentDigest()
-                        alone.message(topic, data)
-                        digests |= alone.digests()
-                    if topic == topics.RUN_END:
-                        data = _ended(data, digests if honest else {}, end)
                     writer.add_message(
-                        targets[record.channel_id], record.log_time, data, record.publish_time, record.sequence
+                        channels[made.channel_id], made.log_time, made.data, made.publish_time, made.sequence
                     )
         writer.finish()
     return target

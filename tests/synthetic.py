@@ -318,6 +318,17 @@ def write_sweep(
     return written
 
 
+def write_simulators(folder: Path, *names: str) -> None:
+    """Two runs of each simulator, identical environments of the first and random ones of the others; and a sweep of one
+    that fails at 16 environments."""
+    rng = np.random.default_rng(3)
+    for number, name in enumerate(names):
+        for run in range(2):
+            final = rng.uniform(0.0, 0.3, size=(3, 27, 3)) if number else grid(3)
+            write_recording(folder, final, run=run, simulator=name, name=f"{number}-{run}.mcap", elapsed_s=1.0 + run)
+    write_sweep(folder, (1, 4, 16), simulator=names[0], scene="free-fall", fails=16)
+
+
 def grid(n_env: int, dtype: str = "float64") -> NDArray[Any]:
     """27 well separated positions on the board [m], the same in every environment, [env, 27, 3]."""
     x, y = np.meshgrid(np.linspace(0.1, 0.5, 9), np.array([-0.1, 0.0, 0.1]))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import importlib.util
 import shlex
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from gpusimbench.schemas.commands.completion import SHELLS
+from tests.conftest import finished
 from tests.test_site import script
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("shtab") is None, reason="shtab is not installed")
@@ -22,13 +22,7 @@ MODULES = script("make_reference").entry_points()
 
 def printed(command: str, shell: str) -> str:
     """The script that a command prints."""
-    done = subprocess.run(
-        [sys.executable, "-m", MODULES[command], "--print-completion", shell],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 0, done.stderr
+    done = finished([sys.executable, "-m", MODULES[command], "--print-completion", shell])
     assert done.stderr == ""
     return done.stdout
 
@@ -45,8 +39,7 @@ def completed(line: str, folder: Path) -> set[str]:
         function=$(complete -p {words[0]} | sed 's/.*-F \\([^ ]*\\).*/\\1/')
         "$function" && printf '%s\\n' "${{COMPREPLY[@]}}"
     """
-    done = subprocess.run(["bash", "-c", program], cwd=folder, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
+    done = finished(["bash", "-c", program], cwd=folder)
     return set(done.stdout.split())
 
 
@@ -109,11 +102,5 @@ def test_help_and_work_are_as_they_were() -> None:
 
 def test_an_unknown_shell() -> None:
     """End with 2 and name the shells that are known."""
-    done = subprocess.run(
-        [sys.executable, "-m", "gpusimbench.recorder.cli", "--print-completion", "ksh"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 2
+    done = finished([sys.executable, "-m", "gpusimbench.recorder.cli", "--print-completion", "ksh"], code=2)
     assert "bash" in done.stderr

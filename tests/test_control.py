@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from gpusimbench.recorder.environments.choice import interpreter_for
 from gpusimbench.recorder.simulators.calibration.chance import fraction
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import UsageError
-from tests.conftest import call
+from tests.conftest import call, finished
 
 try:
     PYTHON = interpreter_for(find_simulator("calibration"))
@@ -56,11 +55,9 @@ def record(folder: Path, *arguments: object, **options: object) -> None:
 def record_many(folder: Path, tasks: list[Json]) -> None:
     """Runs of these configurations, one after another in a process."""
     tasks = [{**task, "options": {"device": "cpu", **task["options"]}} for task in tasks]
-    done = subprocess.run(
-        PYTHON.command("-c", MANY, str(folder)),
-        input=json.dumps(tasks), env=PYTHON.environment(folder), capture_output=True, text=True, timeout=600,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    finished(
+        PYTHON.command("-c", MANY, str(folder)), input=json.dumps(tasks), env=PYTHON.environment(folder), timeout=600
+    )
 
 
 def evaluate(folder: Path, seconds: float) -> Json:
@@ -212,8 +209,7 @@ def test_a_run_tells_what_it_drew(tmp_path: Path) -> None:
 def test_probes_find_what_is_planted() -> None:
     """Answer no to the question whose fault is planted, and yes to all where there is none."""
     command = [sys.executable, "-m", "benchmarks.probe_control", "--probes", "11"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
+    done = finished(command, cwd=ROOT, timeout=600)
     assert "found: 11 of 11 planted faults" in done.stdout, done.stdout + done.stderr
     assert "blamed: 0 of 1 " in done.stdout
     assert "false: 0 of 11 probes" in done.stdout

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from gpusimbench.evaluator.runs.validation import verify
-from tests.conftest import searched
+from tests.conftest import finished, searched
 from tests.test_docs import commands, shell
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -41,8 +40,7 @@ def test_the_packages_tests(installed: str, tmp_path: Path) -> None:
     """Pass the tests that come with the package, where it is installed."""
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(PACKAGE), str(PACKAGE)]
     environment = {**os.environ, "PYTHONPATH": installed, "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stdout
+    done = finished(command, cwd=tmp_path, env=environment, timeout=600)
     assert ", 13 skipped" in done.stdout
 
 

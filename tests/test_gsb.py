@@ -11,7 +11,7 @@ import pytest
 
 from gpusimbench.cli import COMMANDS
 from gpusimbench.next_steps import next_steps
-from tests.conftest import call, command
+from tests.conftest import call, command, finished
 from tests.test_help import PARSERS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -54,10 +54,7 @@ def test_a_verb_that_is_none() -> None:
 
 def test_the_module() -> None:
     """Be what python -m gpusimbench runs."""
-    done = subprocess.run(
-        [sys.executable, "-m", "gpusimbench", "info", str(FILE)], capture_output=True, text=True, timeout=60
-    )
-    assert done.returncode == 0, done.stderr
+    done = finished([sys.executable, "-m", "gpusimbench", "info", str(FILE)])
     assert done.stdout == call("gsb-info", FILE).stdout
     assert subprocess.run([*command("gsb"), "--version"], capture_output=True, timeout=60).returncode == 0
 

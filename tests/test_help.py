@@ -13,7 +13,7 @@ import pytest
 
 from gpusimbench.schemas import errors
 from gpusimbench.schemas.errors import ExitCode
-from tests.conftest import command
+from tests.conftest import command, finished
 from tests.test_site import script
 
 MODULES = script("make_reference").modules()
@@ -136,9 +136,7 @@ def test_the_manual_page(name: str) -> None:
         assert f".SH {heading}\n" in page
     if shutil.which("groff") is None:
         pytest.skip("there is no groff to format it")
-    done = subprocess.run(
-        ["groff", "-man", "-ww", "-Tascii"], input=page, capture_output=True, text=True, timeout=60, check=True
-    )
+    done = finished(["groff", "-man", "-ww", "-Tascii"], input=page)
     assert done.stderr == ""
     assert f"{name.upper()}(1)" in done.stdout
     assert " ".join(str(PARSERS[name].description).split()[:4]) in " ".join(done.stdout.split())

@@ -18,7 +18,6 @@ from tests.synthetic import grid, write_recording
 Main = Callable[[list[str]], int]
 
 _CARD = ("--title", "A set", "--licence", "CC-BY-4.0", "--author", "Doe, Jane", "--update")
-_OUT = "OUT"
 """Stands for the folder that is written to; RUNS for that of the recordings."""
 
 COMMANDS: dict[str, tuple[Main, list[str], list[str]]] = {

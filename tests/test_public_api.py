@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import pytest
 
 import gpusimbench
 from gpusimbench.schemas.errors import GsbError
-from tests.conftest import run_python
+from tests.conftest import finished, run_python
 from tests.test_docs import ROOT, blocks
 
 FUNCTIONS = ("compare", "diff", "evaluate", "open_recording", "record_rollout", "verify", "wrap")
@@ -66,11 +65,9 @@ def test_examples_run_beside_folders_of_the_user(page: str, tmp_path: Path) -> N
         shutil.copy(path, tmp_path / "recordings")
     for block in blocks(ROOT / page, "python"):
         (tmp_path / "example.py").write_text(block)
-        done = subprocess.run(
-            [sys.executable, "example.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300,
-            env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"},
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
+        done = finished(
+            [sys.executable, "example.py"], cwd=tmp_path, env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+        )
         assert done.stdout
 
 
@@ -117,12 +114,12 @@ def test_plugins_that_import_old_names(package: str, group: str, wanted: str, tm
     (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: old-plugin\nVersion: 1.0\n")
     (folder / "entry_points.txt").write_text(f"[{group}]\nolden = old_plugin:make\n")
     asked = ["--sim", "olden"] if wanted == "simulator" else ["--sim", "mujoco", "--scene", "olden"]
-    done = subprocess.run(
+    done = finished(
         [sys.executable, "-P", "-m", "gpusimbench.recorder.cli", *asked, "--out", str(tmp_path / "out")],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        code=2,
+        cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT / "src")])},
-    )  # fmt: skip
-    assert done.returncode == 2
+    )
     root = package.partition(".")[0]
     assert f"No module named '{root}'; import gpusimbench.{root}" in done.stderr
     assert "docs/python.md" in done.stderr

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from tests.conftest import finished
 from tests.test_docs import ROOT
 
 SHIPPED = ROOT / "recordings" / "mujoco-amd-r0.mcap"
@@ -39,11 +39,11 @@ class Copy:
 
     def run(self, *command: str) -> str:
         """What a command prints on standard output."""
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", *command], cwd=self.folder, capture_output=True, text=True, timeout=120,
+        done = finished(
+            [sys.executable, "-P", "-m", *command],
+            cwd=self.folder,
             env={**os.environ, "PYTHONPATH": str(self.folder / "src")},
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
+        )
         return done.stdout
 
 

@@ -13,6 +13,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
+from tests.conftest import finished
 from tests.scripts import DOCUMENTS, script
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -35,10 +36,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site, built by its command in a process of its own."""
     folder = tmp_path_factory.mktemp("site") / "site"
-    done = subprocess.run(
-        [sys.executable, DOCUMENTS / "build_site.py", folder], cwd=ROOT, capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stderr
+    done = finished([sys.executable, DOCUMENTS / "build_site.py", folder], cwd=ROOT)
     assert done.stdout.strip().endswith(": 0 warnings")
     return folder
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, write_json
-from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.entry import complain, entry_point, new_parser, say
 from gpusimbench.schemas import text
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.text import line, show
@@ -150,7 +150,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         complain("gsb-audit", f"{path} is not audited: {'; '.join(findings)}")
     audits = []
     for alike in group(checked.recordings):
-        audits.append(audit(alike, plan, max_ulps=arguments.ulps, say=_say))
+        audits.append(audit(alike, plan, max_ulps=arguments.ulps, say=say))
         if arguments.json != "-":
             with text.live:
                 print_document(audit_document(audits[-1], checked, every=arguments.all), sys.stdout)
@@ -185,13 +185,7 @@ def _exit_code(audits: list[Audit], required: Level) -> ExitCode:
     return ExitCode.NOTHING_COMPARABLE if None in met else ExitCode.OK
 
 
-def _say(said: str) -> None:
-    show(line(said), error=True)
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-audit."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

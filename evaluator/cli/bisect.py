@@ -6,15 +6,15 @@ import argparse
 import shlex
 import signal
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, write_json
-from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.evaluator.cli.arguments import add_json, check_target
+from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
 from gpusimbench.schemas.commands.folder_lock import held
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from gpusimbench.schemas.text import line, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.bisect.plan import Plan
@@ -98,7 +98,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.bisect.predicates import predicate_of
     from gpusimbench.evaluator.bisect.search import most
     from gpusimbench.evaluator.compute.recorder import about
-    from gpusimbench.evaluator.render.terminal import print_document
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # no run goes on that nobody waits for
     given = _given(arguments)
@@ -110,14 +109,12 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UsageError(f"pip has no releases of {arguments.sim}: name what it should install with --package")
     known = tuple(given) or releases(package)
     versions = between(known, arguments.good or known[0], arguments.bad or known[-1])
-    _say(f"{len(versions)} releases from {versions[0]} to {versions[-1]}; at most {most(len(versions))} are recorded")
-    made = Releases(package, plan, arguments.out, given, _say)
+    say = partial(complain, "gsb-bisect")
+    say(f"{len(versions)} releases from {versions[0]} to {versions[-1]}; at most {most(len(versions))} are recorded")
+    made = Releases(package, plan, arguments.out, given, say)
     with held(arguments.out, "gsb-bisect", "bisects releases"):
         found = bisect(made, versions, predicate_of(arguments.predicate), arguments.predicate)
-    if arguments.json:
-        write_json(arguments.json, dump_json(found))
-    if arguments.json != "-":
-        print_document(bisect_document(found), sys.stdout)
+    answer(arguments.json, lambda: dump_json(found), lambda: bisect_document(found))
     return int(ExitCode.OK if found.exact else ExitCode.NOTHING_COMPARABLE)
 
 
@@ -173,13 +170,7 @@ def _plan(arguments: argparse.Namespace, engine: dict[str, Any]) -> Plan:
     )
 
 
-def _say(text: str) -> None:
-    show(line(f"gsb-bisect: {text}"), error=True)
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-bisect."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_name, write_json
-from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_name
+from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
 from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
@@ -61,7 +61,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Check and print; returns the exit code."""
     from gpusimbench.evaluator.check.rules.findings import check
     from gpusimbench.evaluator.check.rules.rule import PROTOCOL, SHIPPED, load_rules
-    from gpusimbench.evaluator.render.terminal import print_document
     from gpusimbench.evaluator.report.check_document import check_document, rules_document
     from gpusimbench.evaluator.report.check_json import dump_check, dump_rules
 
@@ -70,10 +69,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     names = list(dict.fromkeys([*names, *([PROTOCOL] if arguments.protocol else [])]))
     rule_sets = [load_rules(name) for name in names]
     if arguments.list_rules:
-        if arguments.json:
-            write_json(arguments.json, dump_rules(rule_sets))
-        if arguments.json != "-":
-            print_document(rules_document(rule_sets), sys.stdout)
+        answer(arguments.json, lambda: dump_rules(rule_sets), lambda: rules_document(rule_sets))
         return int(ExitCode.OK)
     if not arguments.files:
         raise UsageError("name the recordings to check, or --list-rules")
@@ -83,16 +79,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     files = expand(arguments.files)
     examined = [examine(path) for path in each(files, "checking recordings", sizes(files))]
     report = check(examined, rule_sets)
-    if arguments.json:
-        write_json(arguments.json, dump_check(report))
-    if arguments.json != "-":
-        print_document(check_document(report, every=arguments.all), sys.stdout)
+    answer(arguments.json, lambda: dump_check(report), lambda: check_document(report, every=arguments.all))
     return int(report.exit_code)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-check."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

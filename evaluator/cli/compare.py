@@ -14,9 +14,8 @@ from gpusimbench.evaluator.cli.arguments import (
     check_target,
     local_path,
     store_of,
-    write_json,
 )
-from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place, place
@@ -235,16 +234,11 @@ def _present(
     dumped: Callable[[], str], files: Sequence[tuple[Path | None, Callable[[], str]]],
 ) -> int:  # fmt: skip
     """Print and write what was found, each made when it is asked for; returns the exit code."""
-    from gpusimbench.evaluator.render.terminal import print_document
-
     if work.store:
         work.store.prune()
     for _, failure in found.unreadable:
         complain("gsb-compare", str(failure.error))
-    if arguments.json != "-":
-        print_document(shown(), sys.stdout)
-    if arguments.json:
-        write_json(arguments.json, dumped())
+    answer(arguments.json, dumped, shown)
     for path, text in files:
         if path:
             write_file(path, text())
@@ -296,9 +290,7 @@ def _share(text: str) -> float:
     return share
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-compare."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

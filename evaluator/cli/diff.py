@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
-from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
 from gpusimbench.schemas.commands.progress import each, sizes, stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.text import show_document
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
@@ -62,6 +60,8 @@ def parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Compare and print; returns the exit code."""
+    from gpusimbench.evaluator.diff.json import dump_json
+    from gpusimbench.evaluator.diff.sections import diff_document
     from gpusimbench.evaluator.read.addresses import expand
 
     arguments.files = expand(arguments.files, copies=True)
@@ -77,19 +77,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
             write_file(arguments.plot, drawn)
         else:
             complain("gsb-diff", f"no difference to draw; {arguments.plot} was not written")
-    if arguments.json == "-":
-        from gpusimbench.evaluator.diff.result import dump_json
-
-        show_document(dump_json(found))
-        return _exit_code(found)
-    from gpusimbench.evaluator.diff.sections import diff_document
-    from gpusimbench.evaluator.render.terminal import print_document
-
-    print_document(diff_document(found, every=arguments.all), sys.stdout)
-    if arguments.json:
-        from gpusimbench.evaluator.diff.result import dump_json
-
-        write_file(Path(arguments.json), dump_json(found))
+    answer(arguments.json, lambda: dump_json(found), lambda: diff_document(found, every=arguments.all))
     return _exit_code(found)
 
 
@@ -134,9 +122,7 @@ def _exit_code(found: Difference) -> int:
     return int(ExitCode.DATA_LOST if found.lost else ExitCode.OK)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-diff."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

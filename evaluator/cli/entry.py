@@ -9,13 +9,18 @@ import shlex
 import sys
 import warnings
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
+from gpusimbench.evaluator.cli.arguments import write_json
 from gpusimbench.schemas.commands.command_line import add_common
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.commands.progress import Progress
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import redacted, shown_argument
 from gpusimbench.schemas.text import line, show
+
+if TYPE_CHECKING:
+    from gpusimbench.evaluator.render.document import Document
 
 _NO_THREAD = "can't start new thread"
 """What Python says of a thread whose stack finds no memory."""
@@ -67,6 +72,32 @@ def enter(
             complain(parser.prog, f"cannot write the results: {error.strerror}")
         return int(ExitCode.FAILURE)
     return code
+
+
+def entry_point(
+    parser: Callable[[], argparse.ArgumentParser], run: Callable[[argparse.Namespace, str], int]
+) -> Callable[..., int]:
+    """The function that a command is installed as: it takes the arguments and returns the exit code (see `enter`)."""
+
+    def main(argv: list[str] | None = None) -> int:
+        return enter(parser(), run, argv)
+
+    return main
+
+
+def answer(target: str | None, dumped: Callable[[], str], shown: Callable[[], Document]) -> None:
+    """Print what a command found, and write it as JSON where --json names a target; to "-" only the JSON is printed."""
+    from gpusimbench.evaluator.render.terminal import print_document
+
+    if target:
+        write_json(target, dumped())
+    if target != "-":
+        print_document(shown(), sys.stdout)
+
+
+def say(said: str) -> None:
+    """How far a command is: one line on standard error."""
+    show(line(said), error=True)
 
 
 def complain(command: str, message: str) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, verified, write_json
-from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, verified
+from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
@@ -80,7 +80,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.read.addresses import expand
-    from gpusimbench.evaluator.render.terminal import print_document
 
     check_target(arguments.json)
     if arguments.per_env is not None and arguments.per_env < 1:
@@ -99,10 +98,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         policy, *against = [outcome(one, chosen, arguments.success, at) for one in episodes]
         other = against[0] if against else None
         compared = compare(*episodes) if other else None
-    if arguments.json:
-        write_json(arguments.json, dump_json(policy, other, compared, profiles(episodes)))
-    if arguments.json != "-":
-        print_document(episodes_document(policy, other, compared), sys.stdout)
+    answer(
+        arguments.json,
+        lambda: dump_json(policy, other, compared, profiles(episodes)),
+        lambda: episodes_document(policy, other, compared),
+    )
     return int(ExitCode.OK)
 
 
@@ -113,7 +113,6 @@ def _across(arguments: argparse.Namespace) -> int:
     from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.read.addresses import expand
-    from gpusimbench.evaluator.render.terminal import print_document
 
     recordings = verified(list(expand(arguments.files)))
     check_distinct(recordings)
@@ -128,16 +127,11 @@ def _across(arguments: argparse.Namespace) -> int:
             for value, one in zip(groups, episodes, strict=True)
         ]
         found = Across(arguments.across, tuple(settings), dependences(episodes))
-    if arguments.json:
-        write_json(arguments.json, dump_across(found))
-    if arguments.json != "-":
-        print_document(across_document(found), sys.stdout)
+    answer(arguments.json, lambda: dump_across(found), lambda: across_document(found))
     return int(ExitCode.OK)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-episodes."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

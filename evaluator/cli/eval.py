@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import ExitStack
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import (
@@ -17,17 +16,18 @@ from gpusimbench.evaluator.cli.arguments import (
     local_path,
     store_of,
 )
-from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place, place
-from gpusimbench.schemas.text import line, show, show_document
-from gpusimbench.schemas.writing import write_file, write_files
+from gpusimbench.schemas.text import line, show
+from gpusimbench.schemas.writing import write_files
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.compute.mapping import Mapper
     from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.render.document import Document
     from gpusimbench.evaluator.results.evaluation import Evaluation
     from gpusimbench.evaluator.runs.run import Run
 
@@ -157,12 +157,7 @@ def _one(given: Place | None) -> Place | None:
 def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> None:
     from gpusimbench.evaluator.report.json import dump_json
 
-    if arguments.json == "-":
-        show_document(dump_json(evaluation))
-    else:
-        _print(evaluation, arguments, command)
-        if arguments.json:
-            write_file(Path(arguments.json), dump_json(evaluation))
+    answer(arguments.json, lambda: dump_json(evaluation), lambda: _document(evaluation, arguments, command))
     if arguments.tables:
         from gpusimbench.evaluator.render.table_files import Format, table_files
         from gpusimbench.evaluator.report.document import in_short
@@ -192,18 +187,15 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         show(line(f"report: {page}"), error=arguments.json == "-")
 
 
-def _print(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> None:
-    from gpusimbench.evaluator.render.terminal import print_document
-
+def _document(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> Document:
     if arguments.all:
         from gpusimbench.evaluator.report.document import in_short
         from gpusimbench.evaluator.report.source import Source
 
-        print_document(in_short(Source(evaluation, arguments.published, command)), sys.stdout)
-    else:
-        from gpusimbench.evaluator.report.brief import brief
+        return in_short(Source(evaluation, arguments.published, command))
+    from gpusimbench.evaluator.report.brief import brief
 
-        print_document(brief(evaluation), sys.stdout)
+    return brief(evaluation)
 
 
 def _exit_code(evaluation: Evaluation, recordings: list[Run]) -> int:
@@ -215,9 +207,7 @@ def _exit_code(evaluation: Evaluation, recordings: list[Run]) -> int:
     return int(ExitCode.OK)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-eval."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

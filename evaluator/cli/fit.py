@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, write_json
-from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
+from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
 from gpusimbench.schemas.commands.folder_lock import held
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
@@ -72,7 +72,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Search, judge and print; returns the exit code."""
     from gpusimbench.evaluator.fit.document import dump_json, fit_document
     from gpusimbench.evaluator.fit.fitting import Asked, fit
-    from gpusimbench.evaluator.render.terminal import print_document
 
     check_target(arguments.json)
     names = tuple(filter(None, (name.strip() for name in arguments.parameters.split(","))))
@@ -90,10 +89,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     )  # fmt: skip
     with held(arguments.out, "gsb-fit", "fits options"):
         found = fit(asked)
-    if arguments.json:
-        write_json(arguments.json, dump_json(found))
-    if arguments.json != "-":
-        print_document(fit_document(found), sys.stdout)
+    answer(arguments.json, lambda: dump_json(found), lambda: fit_document(found))
     return int(ExitCode.OK)
 
 
@@ -107,9 +103,7 @@ def _given(pairs: list[str]) -> dict[str, str]:
     return found
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-fit."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, verified, write_json
-from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, verified
+from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
@@ -80,7 +80,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.imports.audit import audited
     from gpusimbench.evaluator.imports.sections import dump_import, import_document
     from gpusimbench.evaluator.read.addresses import expand
-    from gpusimbench.evaluator.render.terminal import print_document
 
     check_target(arguments.json)
     if arguments.sim:
@@ -88,10 +87,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     else:
         _check_recordings(arguments)
         audits = audited(verified(list(expand(arguments.files))))
-    if arguments.json:
-        write_json(arguments.json, dump_import(audits))
-    if arguments.json != "-":
-        print_document(import_document(audits, every=arguments.all), sys.stdout)
+    answer(arguments.json, lambda: dump_import(audits), lambda: import_document(audits, every=arguments.all))
     return int(ExitCode.OK if all(audit.agrees for audit in audits) else ExitCode.GATE_FAILED)
 
 
@@ -150,9 +146,7 @@ def _make(
     return recording, ""
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-import."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, write_json
-from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.entry import complain, entry_point, new_parser
 from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import Place, place
@@ -80,9 +80,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return int(ExitCode.DATA_LOST if damaged else ExitCode.OK)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-info."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, verified, write_json
-from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, verified
+from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
 from gpusimbench.schemas.commands.folder_lock import held
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.commands.progress import each
@@ -116,7 +116,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.probe.finding import Answer
     from gpusimbench.evaluator.probe.json import dump_probe
     from gpusimbench.evaluator.probe.questions import QUESTIONS, probed
-    from gpusimbench.evaluator.render.terminal import print_document
     from gpusimbench.evaluator.report.evidence_json import family_record
     from gpusimbench.evaluator.report.sections.probed import probe_document
 
@@ -128,10 +127,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     findings = [finding for one in asked for finding in one.findings]
     if all(finding.answer is Answer.NOT_ASKED for finding in findings):
         raise NothingComparable("; ".join(problems) or _nothing_asked(recordings))
-    if arguments.json:
-        write_json(arguments.json, dump_probe(asked, [family_record(family) for family in prices]))
-    if arguments.json != "-":
-        print_document(probe_document(asked, prices, every=arguments.all), sys.stdout)
+    answer(
+        arguments.json,
+        lambda: dump_probe(asked, [family_record(family) for family in prices]),
+        lambda: probe_document(asked, prices, every=arguments.all),
+    )
     if problems:
         return int(ExitCode.FAILURE)
     gated = {question.key for question in QUESTIONS if question.gate} if arguments.gate else set()
@@ -353,9 +353,7 @@ def _numbers(arguments: argparse.Namespace, device: str) -> tuple[int, ...]:
     return found
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-probe."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

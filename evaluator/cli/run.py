@@ -8,10 +8,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, write_json
-from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
+from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser, say
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from gpusimbench.schemas.text import line, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.programs.comparison import Comparison
@@ -71,7 +70,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.compute.recorder import run_program
     from gpusimbench.evaluator.programs.comparison import compare_runs
     from gpusimbench.evaluator.programs.document import dump_json, runs_document
-    from gpusimbench.evaluator.render.terminal import print_document
 
     program = arguments.program[1:] if arguments.program[0] == "--" else arguments.program
     if not program or not program[0]:
@@ -82,12 +80,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UsageError(f"--time-limit is a number of seconds, 0 for never, not {arguments.time_limit}")
     check_target(arguments.json)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # no run goes on that nobody waits for
-    runs = run_program(program, arguments.runs, arguments.out, arguments.time_limit, _say)
+    runs = run_program(program, arguments.runs, arguments.out, arguments.time_limit, say)
     found = compare_runs(program, runs)
-    if arguments.json:
-        write_json(arguments.json, dump_json(found))
-    if arguments.json != "-":
-        print_document(runs_document(found), sys.stdout)
+    answer(arguments.json, lambda: dump_json(found), lambda: runs_document(found))
     return int(_exit_code(found))
 
 
@@ -101,13 +96,7 @@ def _exit_code(found: Comparison) -> ExitCode:
     return ExitCode.OK if found.whole and found.verdict is not None else ExitCode.NOTHING_COMPARABLE
 
 
-def _say(said: str) -> None:
-    show(line(said), error=True)
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-run."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

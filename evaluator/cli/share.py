@@ -18,7 +18,7 @@ from gpusimbench.evaluator.cli.arguments import (
     store_of,
     write_json,
 )
-from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.entry import complain, entry_point, new_parser
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.commands.progress import each, sizes, stage
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
@@ -340,9 +340,7 @@ def _leaderboard(arguments: argparse.Namespace) -> int:
     return int(done.exit_code)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-share."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import local_path
-from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.entry import complain, entry_point, new_parser
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
@@ -152,9 +152,7 @@ def _say(path: Path) -> None:
     show(line(str(path)))
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-view."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

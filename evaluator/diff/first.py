@@ -40,23 +40,16 @@ def first_divergence(
             found, by_hashes, phase = hashed, True, hashes[0].phase
     if found.first is None:
         return None
-    step = found.first_step()
-    step_b = int(step * ratio)
     known = [*seen.steps, *(hashes[1].steps if hashes else [])]
-    env_a, env_b = envs_of(found.first.pair, a, b)
-    return Divergence(
+    return _divergence(
+        a,
+        b,
+        ratio,
+        found,
         phase=phase,
-        step_a=step,
-        step_b=step_b,
-        time=step * a.recording.configuration.dt,
-        after_step=max((s for s in known if s < step), default=None),
-        env_a=env_a,
-        env_b=env_b,
-        envs=found.first.count,
+        known=known,
         by_hashes=by_hashes,
         state=state_difference(common, seen.first.row, a, b) if seen.first else None,
-        contacts_a=a.contacts(phase, step),
-        contacts_b=b.contacts(phase, step_b),
     )
 
 
@@ -68,22 +61,30 @@ def first_of_timed(a: Selection, b: Selection, ratio: Fraction, seen: Agreement)
     """
     if seen.first is None:
         return None
-    step = seen.first_step()
+    return _divergence(a, b, ratio, seen, phase="timed", known=seen.steps, by_hashes=True, state=None)
+
+
+def _divergence(
+    a: Selection, b: Selection, ratio: Fraction, found: Agreement, *, phase: str, known: Sequence[int], by_hashes: bool,
+    state: StateDifference | None,
+) -> Divergence:  # fmt: skip
+    assert found.first is not None
+    step = found.first_step()
     step_b = int(step * ratio)
-    env_a, env_b = envs_of(seen.first.pair, a, b)
+    env_a, env_b = envs_of(found.first.pair, a, b)
     return Divergence(
-        phase="timed",
+        phase=phase,
         step_a=step,
         step_b=step_b,
         time=step * a.recording.configuration.dt,
-        after_step=max((s for s in seen.steps if s < step), default=None),
+        after_step=max((s for s in known if s < step), default=None),
         env_a=env_a,
         env_b=env_b,
-        envs=seen.first.count,
-        by_hashes=True,
-        state=None,
-        contacts_a=a.contacts("timed", step),
-        contacts_b=b.contacts("timed", step_b),
+        envs=found.first.count,
+        by_hashes=by_hashes,
+        state=state,
+        contacts_a=a.contacts(phase, step),
+        contacts_b=b.contacts(phase, step_b),
     )
 
 

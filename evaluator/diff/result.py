@@ -6,12 +6,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gpusimbench.evaluator.diff.parts import ProgramDifference
-from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.metrics.divergence import GrowthFit
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.location import Place
-
-SCHEMA_VERSION = 1
 
 
 class Basis(Enum):
@@ -386,15 +383,3 @@ class Difference:
     def lost(self) -> tuple[str, ...]:
         """What the recordings should hold and do not."""
         return tuple(dict.fromkeys((*self.a.lost, *self.b.lost)))
-
-
-def dump_json(found: Difference) -> str:
-    """The document that ``gsb-diff --json`` prints: the result's own names, the verdict, and whether it is over all."""
-    document = {
-        "schema_version": SCHEMA_VERSION,
-        "verdict": found.verdict.value,
-        "all_compared": not (found.compared.left_out or found.lost),
-        "lost": list(found.lost),
-        **values_of(found),
-    }
-    return dump(document)

@@ -22,6 +22,7 @@ from gpusimbench.evaluator.render.document import (
     items,
     table,
 )
+from gpusimbench.evaluator.render.numbers import ulps
 from gpusimbench.schemas.text import cut
 
 _REMARKS, _VALUE, _CHANGES, _CLASSES = 3, 48, 8, 8
@@ -108,7 +109,7 @@ def _row(field: FieldDifference) -> list[Cell | str]:
 
 
 def _ulps(count: int | None, signs_differ: bool) -> Cell | str:
-    return words.NONE if count is None else Cell(words.ulps(count, signs_differ=signs_differ), count)
+    return words.NONE if count is None else Cell(ulps(count, signs_differ=signs_differ), count)
 
 
 def _distances(growth: Growth | Missing) -> Section:

@@ -9,6 +9,7 @@ import numpy as np
 
 from gpusimbench.evaluator.diff.result import Change, Number
 from gpusimbench.evaluator.metrics.divergence import opposite_signs
+from gpusimbench.evaluator.render.numbers import ulps
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.text import cut, few
 
@@ -37,15 +38,6 @@ def amount(value: float | None, unit: str) -> str:
     if value is None or unit == "m":
         return length(value)
     return "0" if value == 0 else f"{value:.3g} {'' if unit in WITHOUT_UNIT else unit}".rstrip()
-
-
-def ulps(count: int | None, *, signs_differ: bool = False) -> str:
-    """A distance in units in the last place; of numbers of opposite signs it says nothing, and the signs do."""
-    if count is None:
-        return NONE
-    if signs_differ:
-        return "signs differ"
-    return f"{count:,}" if count < 10**7 else f"{count:.2e}"
 
 
 def in_ulps(number: Number, *, named: bool = False) -> str:

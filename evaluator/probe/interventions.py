@@ -12,28 +12,23 @@ from gpusimbench.schemas.treatment import Intervention
 
 def poison(arms: Arms) -> Asked | Missing:
     """Environments beside one that is not finite."""
-    beside = _beside(arms, "poison")
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    envs = [env for env in range(arms.n_env) if not done.treated(env)]
-    return told(
-        held(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside one that is not finite"
-    )
+    return _left_alone(arms, "poison", "one that is not finite")
 
 
 def bystanders(arms: Arms) -> Asked | Missing:
     """Environments that are left alone while others are reset."""
-    beside = _beside(arms, "reset")
+    return _left_alone(arms, "reset", "others that are reset")
+
+
+def _left_alone(arms: Arms, kind: str, others: str) -> Asked | Missing:
+    beside = _beside(arms, kind)
     if isinstance(beside, Missing):
         return beside
     base, recording, done = beside
     envs = [env for env in range(arms.n_env) if not done.treated(env)]
     if not envs:
         return Missing("needs two environments")
-    return told(
-        held(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside others that are reset"
-    )
+    return told(held(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside {others}")
 
 
 def fresh(arms: Arms) -> Asked | Missing:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.metrics.divergence import differs, ulp_distance
+from gpusimbench.evaluator.metrics.divergence import differs, opposite_signs, ulp_distance
 from gpusimbench.evaluator.metrics.levels import MAX_ULP, TOLERANCE_M, Level
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
@@ -44,6 +44,7 @@ class First:
     env_a, env_b of the pair
     item, field, component  body or joint, "group/field", and "x", "angle", ...
     ulp          distance in units in the last place, in the order of the bits
+    signs_differ the two have opposite signs, so that `ulp` says nothing
     """
 
     step: int
@@ -53,6 +54,7 @@ class First:
     field: str
     component: str
     ulp: int
+    signs_differ: bool
 
 
 @dataclass(frozen=True)
@@ -255,5 +257,8 @@ def _first(
     row, pair, item, component = (int(i) for i in np.argwhere(mask)[0])
     at = (row, pair, item, component)
     env_a, env_b = pairs.envs[pair]
-    ulp = int(ulp_distance(a[at].reshape(1), b[at].reshape(1))[0])
-    return First(int(steps[row]), env_a, env_b, field.items[item], field.name, field.components[component], ulp)
+    one, other = a[at].reshape(1), b[at].reshape(1)
+    return First(
+        int(steps[row]), env_a, env_b, field.items[item], field.name, field.components[component],
+        int(ulp_distance(one, other)[0]), bool(opposite_signs(one, other)[0]),
+    )  # fmt: skip

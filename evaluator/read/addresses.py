@@ -34,7 +34,7 @@ def expand(places: Sequence[Place], *, copies: bool = False) -> list[Place]:
     found: list[Place] = []
     for given in places:
         if isinstance(given, Location):
-            from gpusimbench.schemas.remote import matching
+            from gpusimbench.schemas.remote.file import matching
 
             found += matching(given, MAX_FILES)
         else:
@@ -97,7 +97,7 @@ def fetched(location: Location, *, size: int | None = None) -> Iterator[Path]:
 
     Unreachable where it cannot be had, or there is no room for it; GsbError where the copy cannot be written.
     """
-    from gpusimbench.schemas.remote import RemoteFile
+    from gpusimbench.schemas.remote.file import RemoteFile
 
     source = RemoteFile(location)
     if size is not None and source.size != size:

@@ -43,6 +43,7 @@ from gpusimbench.evaluator.read.streams import (
 )
 from gpusimbench.evaluator.read.varied import Factors, factors_of
 from gpusimbench.schemas import checks, topics
+from gpusimbench.schemas.commands.progress import moved
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place, place
@@ -54,6 +55,7 @@ from gpusimbench.schemas.source import Source
 from gpusimbench.schemas.treatment import VARIED
 from gpusimbench.schemas.view.geometry import GEOMETRY, Look, look_of
 
+_CRC_SHARE = 0.2  # of the time that a file takes to be read and verified
 _KEPT_BYTES = 16 << 20  # of the state hashes of a phase, which are read several times
 
 
@@ -249,7 +251,7 @@ class Recording(Described):
         Raises DamagedRecording that names the first thing that does not match. A recording without an end record has no
         digests; only its CRCs are checked. `evaluator.runs.validation.verify` asks for more: that parts agree.
         """
-        self._container.verify()
+        self._container.verify(lambda size: moved(_CRC_SHARE * size))
         if self._end is None:
             return
         claimed = dict(self._end.digests)

@@ -33,14 +33,6 @@ def ranked(fps: Estimate) -> Cell:
     return Cell(slowest.said, slowest.low, notes=(f"the slowest of {len(speeds.outcomes)} outcomes",))
 
 
-def quantity(value: float | None, unit: str = "", *notes: str, tone: Tone = Tone.PLAIN) -> Cell:
-    """A number in the precision that its unit usually has; a dash where it is None."""
-    if value is None:
-        return EMPTY
-    text = f"{value:,.0f}" if not unit and value == round(value) else numbers.figure(value, unit)
-    return Cell(text, float(value), notes=tuple(note for note in notes if note), tone=tone)
-
-
 def missing(why: Missing | str) -> Cell:
     """No value, and the reason."""
     reason = why.reason if isinstance(why, Missing) else why

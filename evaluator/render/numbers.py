@@ -50,6 +50,15 @@ def interval(metric: Estimate) -> str:
     return f"[{figure(low, metric.unit)}, {figure(high, metric.unit)}]"
 
 
+def ulps(count: int | None, *, signs_differ: bool = False) -> str:
+    """A distance in units in the last place; of numbers of opposite signs it says nothing, and the signs do."""
+    if count is None:
+        return NONE
+    if signs_differ:
+        return "signs differ"
+    return f"{count:,}" if count < 10**7 else f"{count:.2e}"
+
+
 def plural(number: int, what: str) -> str:
     """A number of things, a single one without the s."""
     return f"{number} {what}{'' if number == 1 else 's'}"

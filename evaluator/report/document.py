@@ -69,6 +69,9 @@ SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
 """Of a report, in order. A section that does not apply is None; where recordings lack what it needs, the title and the
 reason stand for it."""
 
+_OF_BODIES = (mechanics.section, playback.section, density.section, consistency.section)
+"""Sections that nobody misses in a report on tasks, of which no bodies were recorded."""
+
 TITLE = "Which simulator repeats itself, which is right, and how fast is each?"
 """Of several simulators."""
 
@@ -101,7 +104,8 @@ def in_short(source: Source) -> Document:
 
 def _made(source: Source, sections: Iterable[Callable[[Source], Section | Missing | None]]) -> list[Section]:
     """The sections that have something to say, and the reasons of the others in a last one."""
-    found = [section(source) for section in sections]
+    asked = [one for one in sections if source.evaluation.of_bodies or one not in _OF_BODIES]
+    found = [section(source) for section in asked]
     left_out = [one.reason for one in found if isinstance(one, Missing)]
     made = [one for one in found if isinstance(one, Section)]
     if left_out:

@@ -57,14 +57,6 @@ def share(use: BufferUse) -> str:
     return f"{use.share:.0%}" if use.share is not None else _NOT_TOLD
 
 
-def buffers(validity: Validity) -> str:
-    """The buffers by name, each with the share that was needed; the number of those of which nothing shows that."""
-    shown = [f"{use.buffer.name} {share(use)}" for use in validity.buffers if use.share is not None]
-    if untold := len(validity.buffers) - len(shown):
-        shown.append(f"{untold} {_NOT_TOLD}")
-    return ", ".join(shown) or NONE
-
-
 def overflow(validity: Validity) -> str:
     """The bits that fired; a dash where the engine does not tell, and not "none" where some runs do not."""
     if validity.overflow is None:

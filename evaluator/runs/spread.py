@@ -127,7 +127,7 @@ class _Sums:
         self, recording: Recording, field: StateField, array: StateArray, rows: NDArray[np.int64], of: list[int] | None
     ) -> None:
         self._of = of
-        self._recording, self._field, self._array, self._rows = recording, field, array, rows
+        self._recording, self._array, self._rows = recording, array, rows
         simulation = recording.simulation
         origins = simulation.env_origins if simulation and field.frame == "world" else ()
         self._origins = np.array(origins) if len(set(origins)) > 1 else None

@@ -189,17 +189,8 @@ def compare_within(matrix: npt.ArrayLike, head: npt.ArrayLike) -> Shift:
 
         T = mean distance within the second - mean distance within the first
 
-    The test is two-sided, and exact where runs of both sides have one law.
-
-    Args:
-        matrix: distances between runs [any unit], shape [run, run]; symmetric.
-        head: whether a run is on the second side, shape [run]; at least two runs on each.
-
-    Returns:
-        the difference is T, in the unit of the matrix; no interval.
-
-    Raises:
-        ValueError: not a square matrix of finite numbers, or a side of fewer than two runs.
+    The test is two-sided, and exact where runs of both sides have one law. Arguments, result and errors are those of
+    `compare_distances`.
     """
     found = _distances_between(matrix, head)
     within1, within2, _ = found.means()

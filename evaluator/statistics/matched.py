@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 from itertools import combinations
 
 import numpy as np
@@ -20,18 +19,6 @@ Distance = Callable[[Points, Points], float]
 MAX_POINTS = 2000
 """A side, for values at the full number of envs: exact transport between as many takes half a second, and ten runs have
 45 pairs."""
-
-
-class Scheme(Enum):
-    """Which envs are drawn.
-
-    SCATTERED   any, so that a draw stands for the whole run
-    NEIGHBOURS  next to each other by index, as they share blocks of threads: where envs of one block are alike, these
-                lie closer together than scattered ones
-    """
-
-    SCATTERED = "scattered"
-    NEIGHBOURS = "neighbours"
 
 
 @dataclass(frozen=True)
@@ -81,7 +68,6 @@ def matched_variability(
     n_draw: int,
     seed: int,
     size: int | None = None,
-    scheme: Scheme = Scheme.SCATTERED,
     max_points: int = MAX_POINTS,
 ) -> tuple[MatchedPoint, ...]:
     """Variability of runs at several N_env, each reduced to the same number of envs.
@@ -102,7 +88,6 @@ def matched_variability(
         n_draw: draws for each N_env larger than the size, at least 1; one where it is equal.
         seed: of the draws.
         size: envs to draw; the smallest N_env where left out.
-        scheme: which envs are drawn.
         max_points: a side, beyond which raw values are not computed.
 
     Returns:
@@ -122,31 +107,26 @@ def matched_variability(
     if not 1 <= size <= min(found):
         raise ValueError(f"size must be within 1 and the smallest number of envs, {min(found)}, got {size}")
     rng = np.random.default_rng(seed)
-    return tuple(_point(p, distance, size, n_draw, scheme, max_points, rng) for p in found.values())
+    return tuple(_point(p, distance, size, n_draw, max_points, rng) for p in found.values())
 
 
-def draws(n_env: int, size: int, n_draw: int, scheme: Scheme, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+def draws(n_env: int, size: int, n_draw: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
     """Which envs are drawn, shape [n_draw, size]; one draw of all where size is n_env."""
     if size == n_env:
         return np.arange(n_env)[np.newaxis]
     parts: list[npt.NDArray[np.int64]] = []
     whole = n_env // size
     while len(parts) < n_draw:
-        if scheme is Scheme.SCATTERED:
-            order = rng.permutation(n_env)
-        else:
-            # whole stretches, from another beginning each time, in any order
-            order = int(rng.integers(n_env - whole * size + 1)) + np.arange(whole * size)
-        cut = order[: whole * size].reshape(whole, size)
+        cut = rng.permutation(n_env)[: whole * size].reshape(whole, size)
         parts += list(cut[rng.permutation(whole)])
     return np.stack(parts[:n_draw])
 
 
 def _point(
-    runs: Points, distance: Distance, size: int, n_draw: int, scheme: Scheme, max_points: int, rng: np.random.Generator
+    runs: Points, distance: Distance, size: int, n_draw: int, max_points: int, rng: np.random.Generator
 ) -> MatchedPoint:
     n_run, n_env, n_item = runs.shape[:3]
-    drawn = draws(n_env, size, n_draw, scheme, rng)
+    drawn = draws(n_env, size, n_draw, rng)
     # one deal a draw for the floor, and as many where there is one draw of all
     each = [_matrices(runs[:, envs], distance, n_draw // len(drawn), rng) for envs in drawn]
     raw, no_raw = None, ""

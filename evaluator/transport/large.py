@@ -42,7 +42,7 @@ class Certified:
 
 
 def certified_wasserstein1(
-    a: npt.ArrayLike, b: npt.ArrayLike, *, relative: float = 0.01, absolute: float = 0.0, max_work: int | None = None
+    a: npt.ArrayLike, b: npt.ArrayLike, *, relative: float = 0.01, max_work: int | None = None
 ) -> Certified:
     """Bounds on W1 between two equally sized planar point sets under the Euclidean distance.
 
@@ -54,8 +54,7 @@ def certified_wasserstein1(
 
     Args:
         a, b: points [any length unit], shape [n, 2].
-        relative: ends when high - low is at most this part of high,
-        absolute: or at most this [same unit]; 0 in both asks for all that float64 can give.
+        relative: ends when high - low is at most this part of high; 0 asks for all that float64 can give.
         max_work: bids at most, None for no limit; where they run out the bounds hold as well, but are further apart.
 
     Raises:
@@ -65,8 +64,8 @@ def certified_wasserstein1(
     a, b = planar_array(a, "a", ndim=2), planar_array(b, "b", ndim=2)
     if len(a) != len(b):
         raise ValueError(f"sets of different size: a has {len(a)} points, b has {len(b)}")
-    if not (relative >= 0.0 and absolute >= 0.0):
-        raise ValueError(f"tolerances must not be negative, got relative {relative}, absolute {absolute}")
+    if not relative >= 0.0:
+        raise ValueError(f"relative must not be negative, got {relative}")
     if max_work is not None and max_work < 0:
         raise ValueError(f"max_work must not be negative, got {max_work}")
     n = len(a)
@@ -79,11 +78,9 @@ def certified_wasserstein1(
     from gpusimbench.evaluator.transport.multiscale import solve
 
     in_a, in_b = only_a > 0, only_b > 0
-    with np.errstate(over="ignore"):
-        threshold = n * float(np.ldexp(absolute, -exponent))
 
     def excess(dual: float, primal: float) -> float:
-        allowed = _WITHIN * max(threshold, relative * primal)
+        allowed = _WITHIN * relative * primal
         return (primal - dual) / allowed if allowed > 0.0 else math.inf
 
     solution = solve(

@@ -51,9 +51,7 @@ class Request:
 
     def task(self, run: RunConfiguration) -> Task:
         """One of the runs, to be made now."""
-        return Task.of(
-            run, self.argv, replay_of=self.replay_of, end_killed=self.end_killed, cage=self.cage, inputs=self.inputs
-        )
+        return Task(run, self.argv, self.replay_of, self.end_killed, self.cage, self.inputs)
 
 
 class Maker(Protocol):

@@ -22,37 +22,23 @@ from gpusimbench.schemas.provenance import ReplayOf
 class Task:
     """A run to be made.
 
-    run_id      unique (UUID4)
-    created     UTC, ISO 8601
     argv        the user's command
     replay_of   the recording that it is a replay of
     end_killed  where it has to be killed after its timeout, write a recording that says so
     cage        what it may take of the machine; None: anything
     inputs      files that it is given, by the names that its recording attaches them under
+    run_id      unique (UUID4)
+    created     UTC, ISO 8601; now where nothing else is said
     """
 
     configuration: RunConfiguration
-    run_id: str
-    created: str
     argv: tuple[str, ...]
     replay_of: ReplayOf | None = None
     end_killed: bool = False
     cage: Cage | None = None
     inputs: Mapping[str, bytes] = field(default_factory=dict)
-
-    @classmethod
-    def of(
-        cls,
-        configuration: RunConfiguration,
-        argv: tuple[str, ...],
-        *,
-        replay_of: ReplayOf | None = None,
-        end_killed: bool = False,
-        cage: Cage | None = None,
-        inputs: Mapping[str, bytes] | None = None,
-    ) -> Task:
-        """A new run, created now."""
-        return cls(configuration, str(uuid.uuid4()), utc_now(), argv, replay_of, end_killed, cage, inputs or {})
+    run_id: str = field(default_factory=lambda: str(uuid.uuid4()))
+    created: str = field(default_factory=utc_now)
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values."""
@@ -69,13 +55,13 @@ class Task:
         of = record["replay_of"]
         return cls(
             RunConfiguration.from_json(record["configuration"]),
-            record["run_id"],
-            record["created"],
             tuple(record["argv"]),
             ReplayOf.from_json(of) if of else None,
             record["end_killed"],
             Cage(**record["cage"]) if record["cage"] else None,
             {name: b64decode(data) for name, data in record["inputs"].items()},
+            record["run_id"],
+            record["created"],
         )
 
 

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
+from gpusimbench.recorder.simulators.mujoco.options import own_options
 
 _PROTOCOL_STEPS = 1100  # warm-up and timed steps
 _PILOT_ENVS = 16  # of a scene whose environments are given different actions
@@ -68,6 +70,15 @@ def measure(compiled: MjcfModel, *, dt: float, seed: int, varied: bool = False) 
         contacts, rows = max(contacts, data.ncon), max(rows, data.nefc)
         pairs = max(pairs, overlapping.count(data.geom_xpos))
     return Need(contacts, rows, pairs, steps, envs, _MARGIN_OF_SAMPLE if drawn or varied else _MARGIN)
+
+
+def measure_from_afar(scene: Scene, *, dt: float, seed: int, reach: float) -> Need:
+    """The same of a scene whose shapes see each other from this distance on [m], as those of PhysX do."""
+    compiled = compile_scene(scene, dt=dt, options=own_options(scene))
+    compiled.model.geom_gap[:] = reach  # of each shape of a pair
+    bounded = compiled.model.geom_rbound > 0  # planes are not
+    compiled.model.geom_rbound[bounded] += reach
+    return measure(compiled, dt=dt, seed=seed)
 
 
 class BoundingSpheres:

@@ -12,7 +12,7 @@ What a stranger's file can cost is bounded by its size, see docs/strangers.md.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from itertools import groupby
 from operator import itemgetter
@@ -36,7 +36,7 @@ _HELD_BYTES = 64 << 20  # of messages that wait for those before them
 def open_source(place: Place) -> Source:
     """Open a file; RecordingError where it cannot be read."""
     if isinstance(place, Location):
-        from gpusimbench.schemas.remote import RemoteFile
+        from gpusimbench.schemas.remote.file import RemoteFile
 
         return RemoteFile(place)
     return MappedFile(place)
@@ -213,9 +213,11 @@ class Container:
         )
         return self.size + sum(sizes)
 
-    def verify(self) -> None:
+    def verify(self, moved: Callable[[float], None] = lambda _: None) -> None:
         """Check the CRC of the whole data section and of every chunk; DamagedRecording names the first that fails.
 
         Of a file that was opened through its summary, also that nothing lies beside what the summary says.
+
+        moved  see `schemas.mcap.verify`
         """
-        verify(self._contents)
+        verify(self._contents, moved)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from gpusimbench.schemas.commands.progress import moved
+from collections.abc import Callable
+
 from gpusimbench.schemas.mcap.contents import MAX_INDEX_BYTES, Contents, Message
 from gpusimbench.schemas.mcap.crc import combine
 from gpusimbench.schemas.mcap.declarations import Declarations
 from gpusimbench.schemas.mcap.records import INDEX_ENTRY, RECORD_HEAD, Attachment, Cursor, Op
 from gpusimbench.schemas.mcap.walk import Head, MessageHead, Walk, data_crc
 
-_SHARE = 0.2  # of the time that a file takes to be read and verified
 _EXPECTED = (
     Op.HEADER,
     Op.SCHEMA,
@@ -21,19 +21,22 @@ _EXPECTED = (
 )  # of a file that has an index
 
 
-def verify(contents: Contents) -> None:
+def verify(contents: Contents, moved: Callable[[float], None]) -> None:
     """DamagedRecording names the first thing that is not as it was written.
 
     Of a file that was opened through its summary, also that nothing lies beside what the summary says.
+
+    moved  is told the bytes of every chunk that was checked
     """
     contents.chunks.forget()
-    _Verification(contents).run()
+    _Verification(contents, moved).run()
     contents.source.confirm()
 
 
 class _Verification:
-    def __init__(self, contents: Contents) -> None:
+    def __init__(self, contents: Contents, moved: Callable[[float], None]) -> None:
         self._contents = contents
+        self._moved = moved
         self._walk = Walk(contents.source)
         self._attachments = {a.record: a for a in contents.attachments.values()}
         self._beside, self._inside = Declarations(contents.place), Declarations(contents.place)
@@ -94,7 +97,7 @@ class _Verification:
         else:
             self._crc, self._position = combine(self._crc, known, len(data)), chunk.end
         self._chunks += 1
-        moved(_SHARE * (chunk.end - chunk.begin))
+        self._moved(chunk.end - chunk.begin)
 
     def _add_crc(self, end: int) -> None:
         if self._contents.data_crc:

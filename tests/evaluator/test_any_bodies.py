@@ -29,7 +29,7 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import StateField, ball_fields, body_field, body_fields, joint_field
 from tests.conftest import call
-from tests.layouts import HOSTILE, Layout, cart_pole, hostile, humanoid, pendulum, runs, states, write
+from tests.layouts import Layout, cart_pole, hostile, humanoid, pendulum, runs, states, write
 from tests.synthetic import grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -325,13 +325,6 @@ def test_why_joints_alone_are_not_drawn(tmp_path: Path) -> None:
     shown = call("gsb-view", body, "--no-open", "--out", tmp_path / "view.html")
     assert "1 body has no known shape and is shown as a dot" in shown.stderr
     assert "Not shown: joints, balls" in shown.stderr
-
-
-def test_names_of_a_hostile_user_are_text(tmp_path: Path) -> None:
-    """Write what a stranger called a body, and do nothing else with it."""
-    done = call("gsb-diff", *runs(tmp_path, hostile(), 2))
-    assert HOSTILE[0] in done.stdout
-    assert "\x1b" not in done.stdout
 
 
 def test_joints_come_apart(tmp_path: Path) -> None:

@@ -96,7 +96,6 @@ def test_one_run_id_and_two_contents(tmp_path: Path) -> None:
 
 
 _recorder = partial(changing, PROVENANCE, "software", "recorder")
-_ALL_PHASES = {"phases": ["timed", "capture"]}
 _BROKEN: dict[str, dict[str, Any]] = {
     "scene": {"change": configured(scene="mine")},
     "scene-unchanged": {"change": changing(SIMULATION, "scene", sha256="0" * 64)},

@@ -284,15 +284,6 @@ def test_reports_tell_undecided_from_passed(
     )
 
 
-def test_the_terminal_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Print no control character of a stranger's."""
-    assert main([*map(str, write_hostile(tmp_path)), "--no-cache"]) == 4
-    shown = capsys.readouterr()
-    assert "\x1b" not in shown.out + shown.err
-    assert "\x00" not in shown.out + shown.err
-    assert "<script>" in shown.out
-
-
 @pytest.mark.parametrize("apart", [0, 1])
 def test_the_order_of_one_run_a_side(apart: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Tell the order of two runs that were made a second apart, and none of two that were made in the same second."""

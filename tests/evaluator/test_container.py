@@ -18,6 +18,7 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, RecordingError
 from gpusimbench.schemas.mcap import reader
 from gpusimbench.schemas.mcap.reader import Container
+from tests.forging import copied
 from tests.synthetic import grid, write_recording
 
 compressions = pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
@@ -61,7 +62,7 @@ def test_rewritten_by_another_tool(tmp_path: Path, compression: str) -> None:
     """Keep arrays, status and identity when another writer copies the messages into other chunks."""
     original = write_recording(tmp_path, grid(3))
     copy = tmp_path / "copy.mcap"
-    rewrite(original, copy, CompressionType[compression.upper()], chunk_size=700)
+    copied(original, copy, compression=CompressionType[compression.upper()], chunk_size=700)
     a, b = open_recording(original), open_recording(copy)
     verify(b)
     assert a.content_hash == b.content_hash
@@ -72,32 +73,8 @@ def test_without_chunks_or_indexes(tmp_path: Path) -> None:
     """Read a file that has neither chunks nor message indexes."""
     original = write_recording(tmp_path, grid(2))
     copy = tmp_path / "flat.mcap"
-    rewrite(original, copy, CompressionType.NONE, use_chunking=False)
+    copied(original, copy, use_chunking=False)
     verify(open_recording(copy))
-
-
-def rewrite(source: Path, target: Path, compression: CompressionType, **options: object) -> None:
-    """Copy a recording as the official library writes it."""
-    with source.open("rb") as stream, target.open("wb") as out:
-        reader = make_reader(stream)
-        writer = Writer(out, compression=compression, **options)  # type: ignore[arg-type]
-        writer.start(profile=reader.get_header().profile)
-        schemas: dict[int, int] = {}
-        channels: dict[int, int] = {}
-        for attachment in reader.iter_attachments():
-            writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
-            assert schema is not None
-            if schema.id not in schemas:
-                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
-            if channel.id not in channels:
-                channels[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schemas[schema.id], channel.metadata
-                )
-            writer.add_message(
-                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
-            )
-        writer.finish()
 
 
 def test_cut_short_anywhere(tiny: Path, tmp_path: Path) -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.conftest import run_python
+from tests.conftest import finished, run_python
 
 pytestmark = pytest.mark.slow
 
@@ -29,11 +28,7 @@ def tables(text: str) -> dict[str, list[list[str]]]:
 @pytest.fixture(scope="module")
 def simulated() -> dict[str, list[list[str]]]:
     """The tables of a short simulation."""
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.coverage", "--replications", "40", "--seed", "1"],
-        cwd=ROOT, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    done = finished([sys.executable, "-m", "benchmarks.coverage", "--replications", "40", "--seed", "1"], cwd=ROOT)
     return tables(done.stdout)
 
 

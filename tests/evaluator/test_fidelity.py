@@ -39,11 +39,6 @@ def run(*values: float, why: str = "") -> PhysicsFacts:
     return PhysicsFacts("inclined-collision", 2, ((0, 1),), {Check.ROLLING: fact, Check.FALL: Missing("nothing falls")})
 
 
-def rolling_of(found: Fidelity) -> object:
-    """The row of rolling."""
-    return next(row for row in found.rows if row.check is Check.ROLLING)
-
-
 def test_one_broken_value_breaks_the_group() -> None:
     """Break where one environment of one run is beyond the tolerance, and count it."""
     row = fidelity("x", [run(2.4, 2.41), run(2.38, 2.46)]).rows[0]

@@ -27,7 +27,8 @@ from gpusimbench.evaluator.report.paper.pdf import to_pdf
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from tests.synthetic import grid, write_recording, write_sweep
+from tests.conftest import finished
+from tests.synthetic import grid, write_recording, write_simulators, write_sweep
 
 HOSTILE = r"\input{/etc/passwd} $x^2$ & 50 % #1 {_} ~ <script> \x00"
 
@@ -36,12 +37,7 @@ HOSTILE = r"\input{/etc/passwd} $x^2$ & 50 % #1 {_} ~ <script> \x00"
 def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     """Two simulators that captured states and two sweeps."""
     folder = tmp_path_factory.mktemp("figures")
-    rng = np.random.default_rng(3)
-    for number, name in enumerate(("one", HOSTILE)):
-        for run in range(2):
-            final = rng.uniform(0.0, 0.3, size=(3, 27, 3)) if number else grid(3)
-            write_recording(folder, final, run=run, simulator=name, name=f"{number}-{run}.mcap", elapsed_s=1.0 + run)
-    write_sweep(folder, (1, 4, 16), simulator="one", scene="free-fall", fails=16)
+    write_simulators(folder, "one", HOSTILE)
     write_sweep(folder, (1, 4, 16), simulator="two", scene="free-fall", allocator_peak=3 * 10**9)
     return evaluate_files(sorted(folder.glob("*.mcap")))
 
@@ -80,9 +76,7 @@ def words(pdf: bytes, folder: Path) -> str:
     if shutil.which("pdftotext") is None:
         pytest.skip("no pdftotext to read PDF with")
     (folder / "a.pdf").write_bytes(pdf)
-    done = subprocess.run(
-        ["pdftotext", "-layout", str(folder / "a.pdf"), "-"], capture_output=True, text=True, check=True
-    )
+    done = finished(["pdftotext", "-layout", str(folder / "a.pdf"), "-"])
     return done.stdout
 
 

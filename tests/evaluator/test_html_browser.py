@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import csv
 import shutil
-import subprocess
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from gpusimbench.evaluator.render.csv import to_csv
@@ -21,7 +19,8 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.browser import Browser, needs_chromium
-from tests.synthetic import grid, write_recording, write_sweep
+from tests.conftest import finished
+from tests.synthetic import grid, write_recording, write_simulators, write_sweep
 
 pytestmark = needs_chromium
 
@@ -42,13 +41,8 @@ OPEN_ALL = "document.querySelector('button[name=open]').click()"
 def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     """Simulators with states, one of a hostile name; two sweeps; a file that is none."""
     folder = tmp_path_factory.mktemp("recordings")
-    rng = np.random.default_rng(3)
-    for number, name in enumerate(("one", "two", HOSTILE)):
-        for run in range(2):
-            final = rng.uniform(0.0, 0.3, size=(3, 27, 3)) if number else grid(3)
-            write_recording(folder, final, run=run, simulator=name, name=f"{number}-{run}.mcap", elapsed_s=1.0 + run)
+    write_simulators(folder, "one", "two", HOSTILE)
     write_recording(folder, grid(3), simulator="bad", status="INVALID", reason=HOSTILE, name="bad.mcap")
-    write_sweep(folder, (1, 4, 16), simulator="one", scene="free-fall", fails=16)
     write_sweep(folder, (1, 4, 16), simulator="two", scene="free-fall", allocator_peak=3 * 10**9)
     (folder / "no-recording.mcap").write_bytes(b"none")
     return evaluate_files(sorted(folder.glob("*.mcap")))
@@ -226,7 +220,7 @@ def test_the_print_is_whole(browser: Browser, page: Path, tmp_path: Path) -> Non
     browser.open(page)
     browser.evaluate(OPEN_ALL)
     browser.pdf(tmp_path / "page.pdf")
-    done = subprocess.run(["pdftotext", str(tmp_path / "page.pdf"), "-"], capture_output=True, text=True, check=True)
+    done = finished(["pdftotext", str(tmp_path / "page.pdf"), "-"])
     browser.open(page)
     printed = "".join(done.stdout.split())
     for heading in browser.evaluate("[...document.querySelectorAll('h2')].map(h => h.textContent)"):

@@ -40,3 +40,8 @@ def test_a_task_is_asked_for_nothing_of_bodies(page: tuple[str, str], noise: str
     body = page[1].partition('id="provenance"')[0]
     assert "distinct runs" in body
     assert noise not in page[0] and noise not in body
+
+
+def test_a_task_misses_no_section(page: tuple[str, str]) -> None:
+    """List no section as left out that no recording of a task could have."""
+    assert 'id="left-out"' not in page[1]

@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from gpusimbench import open_recording
-from tests.conftest import Command
+from tests.conftest import Command, finished
 from tests.synthetic import grid, metrics_of, write_recording
 
 
@@ -91,11 +91,7 @@ def test_another_language_reads_the_same(small: Path, tmp_path: Path) -> None:
         pytest.skip(f"npm cannot install @mcap/core here: {install.stderr.splitlines()[:1]}")
     script = tmp_path / "read_state.mjs"
     script.write_text(_NODE_TEST.read_text())
-    done = subprocess.run(
-        ["node", str(script), str(small), "/state/cubes/position/000000"],
-        capture_output=True, text=True, timeout=120, cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    done = finished(["node", str(script), str(small), "/state/cubes/position/000000"], cwd=tmp_path)
     read: dict[str, Any] = json.loads(done.stdout)
     array = np.array(read["numbers"]).reshape(read["shape"])
     assert np.array_equal(array, np.asarray(open_recording(small).state("cubes", "position")))

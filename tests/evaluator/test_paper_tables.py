@@ -6,7 +6,6 @@ import csv
 import io
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from gpusimbench.evaluator.cli.eval import main
@@ -20,7 +19,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.conftest import Command
 from tests.pages import rows_of, tables_of
-from tests.synthetic import grid, write_recording, write_sweep
+from tests.synthetic import grid, write_recording, write_simulators, write_sweep
 
 HOSTILE = "=cmd|'/C calc'!A0 | [x](http://x) & \\input{a} % <b>"
 
@@ -29,12 +28,7 @@ HOSTILE = "=cmd|'/C calc'!A0 | [x](http://x) & \\input{a} % <b>"
 def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     """Two simulators with states, one of a hostile name; a sweep that fails."""
     folder = tmp_path_factory.mktemp("tables")
-    rng = np.random.default_rng(3)
-    for number, name in enumerate(("one", HOSTILE)):
-        for run in range(2):
-            final = rng.uniform(0.0, 0.3, size=(3, 27, 3)) if number else grid(3)
-            write_recording(folder, final, run=run, simulator=name, name=f"{number}-{run}.mcap", elapsed_s=1.0 + run)
-    write_sweep(folder, (1, 4, 16), simulator="one", scene="free-fall", fails=16)
+    write_simulators(folder, "one", HOSTILE)
     return evaluate_files(sorted(folder.glob("*.mcap")))
 
 

@@ -168,6 +168,21 @@ def test_one_thing_planted(tmp_path: Path, index: int, env: int, step: int, also
     assert "never beyond 8 ULP" in evidence(asked)
 
 
+def test_a_sign_planted(tmp_path: Path) -> None:
+    """Say that signs differ where they do, and no number of ULPs, which would be a number near 2^32."""
+
+    def turned(positions: NDArray[Any], now: int) -> None:
+        if now >= 4:
+            positions[1, 5, 1] *= -1
+
+    asked = _probe(tmp_path, {0: turned})["runs"]
+    assert asked.found is not None and asked.found.first is not None
+    assert asked.found.first.signs_differ and asked.found.first.ulp > 2**30
+    said = evidence(asked)
+    assert "first by opposite signs (env 1, cube" in said
+    assert "ULP" not in said
+
+
 def test_far_apart(tmp_path: Path) -> None:
     """Tell small differences from large ones, and say where they are largest."""
 

@@ -17,6 +17,7 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import Provenance
+from tests.forging import copied
 from tests.synthetic import grid, write_recording
 
 _SHAPE = (101, 4, 27, 3)
@@ -128,29 +129,19 @@ def test_status_and_reason(tmp_path: Path) -> None:
 
 def test_a_changed_end_is_noticed(tmp_path: Path) -> None:
     """Refuse a file whose status was edited, even if every CRC was made right again."""
-    from tests.evaluator.test_container import rewrite  # the official writer makes the CRCs right
-
     path = write_recording(tmp_path, grid(1), status="INVALID", reason="contacts were dropped")
     forged = tmp_path / "forged.mcap"
     forged.write_bytes(path.read_bytes().replace(b"contacts were dropped", b"contacts were counted"))
-    copy = tmp_path / "copy.mcap"
-    from mcap.writer import CompressionType
-
-    rewrite(forged, copy, CompressionType.NONE)
+    copy = copied(forged, tmp_path / "copy.mcap")  # the official writer makes the CRCs right
     with pytest.raises(DamagedRecording, match="end record was changed"):
         verify(open_recording(copy))
 
 
 def test_a_changed_number_is_noticed(tmp_path: Path) -> None:
     """Refuse changed provenance, even if every CRC was made right again."""
-    from mcap.writer import CompressionType
-
-    from tests.evaluator.test_container import rewrite
-
     path = write_recording(tmp_path, grid(1))
     forged = tmp_path / "forged.mcap"
     forged.write_bytes(path.read_bytes().replace(b'"n_env": 1', b'"n_env": 2'))
-    copy = tmp_path / "copy.mcap"
-    rewrite(forged, copy, CompressionType.NONE)
+    copy = copied(forged, tmp_path / "copy.mcap")
     with pytest.raises(DamagedRecording):
         verify(open_recording(copy))

@@ -32,17 +32,17 @@ from gpusimbench.evaluator.cli import eval as evaluation
 from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas import remote
-from gpusimbench.schemas import web as addresses_of_web
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, RecordingError, Unreachable
 from gpusimbench.schemas.location import Location, redacted, shown, shown_argument
 from gpusimbench.schemas.mcap import contents, decompression
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.mcap.records import MAGIC
-from gpusimbench.schemas.patience import Patience, TooSlow
-from gpusimbench.schemas.remote import RemoteFile
+from gpusimbench.schemas.remote import file as remote
+from gpusimbench.schemas.remote import web as addresses_of_web
+from gpusimbench.schemas.remote.file import RemoteFile
+from gpusimbench.schemas.remote.patience import Patience, TooSlow
 from tests.conftest import run_python
-from tests.evaluator.test_container import rewrite
+from tests.forging import copied
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT, commands, shell
 from tests.web import Web, serving
@@ -191,7 +191,7 @@ def test_files_of_other_writers(memory: Any, tmp_path: Path, compression: str) -
     ]
     for number, options in enumerate(ways):
         copy = tmp_path / f"{number}.mcap"
-        rewrite(original, copy, CompressionType[compression.upper()], **options)
+        copied(original, copy, compression=CompressionType[compression.upper()], **options)
         recording = open_recording(_put(memory, copy))
         verify(recording)
         assert np.array_equal(np.asarray(recording.state("cubes", "position")), whole), options
@@ -735,7 +735,7 @@ def test_a_slow_server(
 def test_patience_is_for_all_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for many answers that are each in time only as long as their bytes are worth it, then ask no more."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr("gpusimbench.schemas.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr("gpusimbench.schemas.remote.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
 
     def answer() -> bytes:
         clock.now += 30
@@ -758,7 +758,7 @@ def test_patience_is_for_all_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_patience_counts_what_is_asked_at_once_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for eight answers at the same time as long as for one of them."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr("gpusimbench.schemas.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr("gpusimbench.schemas.remote.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
     patience = Patience(answer_s=100, file_s=100, rate=1e6)
     together = Barrier(8, action=lambda: setattr(clock, "now", 60.0))
     with ThreadPoolExecutor(8) as pool:

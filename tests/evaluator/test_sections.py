@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from gpusimbench import RecordingWriter
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Items, Section, Table, Tone
 from gpusimbench.evaluator.report.document import SECTIONS, report
@@ -25,7 +23,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
-from gpusimbench.schemas.fields import array_field
+from tests.synthetic import write_recording
 
 TOPICS = (accumulation, determinism_cost, mechanics, scaling, throughput, validity, variability)
 FACETS = {"simulator", "scene", "device", "level"}
@@ -120,13 +118,8 @@ def test_counts_of_distinct_runs_are_good_only_where_all_runs_are_identical(
 
 
 def test_sections_without_content_are_a_line_each(tmp_path: Path) -> None:
-    """Show no heading over nothing: of a program's own array, sections that need bodies or clocks are reasons."""
-    path = tmp_path / "a.mcap"
-    with RecordingWriter(
-        path, simulator="mine", version="1", scene="task", n_env=2, dt=0.1, steps=3,
-        fields=(array_field("reward", "float32", (), unit="1"),),
-    ) as log:  # fmt: skip
-        log.append(np.zeros((4, 2), dtype=np.float32))
+    """Show no heading over nothing: of a run that captured no states, sections that need bodies are reasons."""
+    path = write_recording(tmp_path, None, elapsed_s=None)
     source = Source(evaluate_files([path]), False, "gsb-eval")
     reasons = [made.reason for section in SECTIONS if isinstance(made := section(source), Missing)]
     assert len(reasons) == 4

@@ -6,7 +6,6 @@ import html
 import json
 import re
 import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from gpusimbench.evaluator.share.dataset.contents import identity
 from gpusimbench.evaluator.share.dataset.folder import why_not
 from gpusimbench.evaluator.share.dataset.licences import HUB_NAMES, check_licence
 from gpusimbench.schemas.errors import UsageError
-from tests.conftest import call, run_python
+from tests.conftest import call, finished, run_python
 from tests.evaluator.sets import WHEN, WORDS, described
 from tests.synthetic import grid, write_recording
 
@@ -55,8 +54,7 @@ def front_matter(card: Path) -> dict[str, Any]:
 
 def test_sums_are_those_of_sha256sum(made: Path) -> None:
     """Have sha256sum itself check every file but the list."""
-    done = subprocess.run(["sha256sum", "--strict", "-c", "SHA256SUMS"], cwd=made, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    done = finished(["sha256sum", "--strict", "-c", "SHA256SUMS"], cwd=made)
     files = {str(p.relative_to(made)) for p in made.rglob("*") if p.is_file()} - {"SHA256SUMS", ".gitattributes"}
     assert {line.partition(": ")[0] for line in done.stdout.splitlines()} == files
     assert {name.rpartition("/")[2] for name in files} >= OURS - {"SHA256SUMS"}

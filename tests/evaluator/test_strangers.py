@@ -248,17 +248,6 @@ def test_one_run_id_and_two_contents(gsb_eval: Command, tmp_path: Path) -> None:
     assert "has the run id of a.mcap and another content" in done.stderr
 
 
-def test_terminal_sequences_are_made_visible(gsb_eval: Command, tmp_path: Path) -> None:
-    """Print a stranger's escape sequences and broken characters as text, in the table and in messages."""
-    evil = "\x1b[2J\x1b]0;owned\x07\ud800"
-    bad = write_recording(tmp_path, grid(2), simulator="bad", change=_forge(SIMULATION, ("version",), evil))
-    failed = write_recording(tmp_path, grid(2), simulator="bad", status="FAILED", reason="\x1b[2Jgone")
-    done = gsb_eval(bad, failed, "--html", tmp_path / "report", code=0)
-    assert "\x1b" not in done.stdout
-    assert "\\x1b[2J" in done.stdout
-    assert "\x1b" not in (tmp_path / "report" / "index.html").read_text()
-
-
 def test_a_pipe_is_no_file(gsb_eval: Command, tmp_path: Path) -> None:
     """Refuse a pipe instead of waiting for its writer."""
     os.mkfifo(tmp_path / "pipe.mcap")

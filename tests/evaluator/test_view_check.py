@@ -12,9 +12,7 @@ import pytest
 from google.protobuf import descriptor_pb2
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.records import Channel, Header, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from mcap.writer import Writer
+from mcap.records import Channel, Schema
 
 from gpusimbench.evaluator.check.integrity import examine, view
 from gpusimbench.evaluator.check.integrity.problem import Kind
@@ -25,6 +23,7 @@ from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.messages import message_class
 from tests.conftest import call
 from tests.evaluator.damaged import rewritten
+from tests.forging import copied
 
 POSES, TRANSFORMS, SCENE = "/state/view/cubes_poses/000000", "/state/view/transforms/000000", "/state/view/scene/000000"
 LOG = "/state/view/log/000000"
@@ -156,41 +155,6 @@ def test_the_command_says_it(small: Path, tmp_path: Path) -> None:
     assert "Trust the states" in done.stdout
 
 
-def redeclared(
-    source: Path, target: Path, schema: Callable[[Any], Any] = lambda r: r, channel: Callable[[Any], Any] = lambda r: r
-) -> Path:
-    """A copy by the official library with other schemas or channels."""
-    with source.open("rb") as stream, target.open("wb") as out:
-        writer = Writer(out, enable_data_crcs=True)
-        schemas: dict[int, int] = {}
-        channels: dict[int, int] = {}
-        attachments = []
-        for record in StreamReader(stream, validate_crcs=True).records:
-            match record:
-                case Header():
-                    writer.start(record.profile, record.library)
-                case Schema() if record.id not in schemas:
-                    made = schema(record)
-                    schemas[record.id] = writer.register_schema(made.name, made.encoding, made.data)
-                case Channel() if record.id not in channels:
-                    made = channel(record)
-                    channels[record.id] = writer.register_channel(
-                        made.topic, made.message_encoding, schemas[made.schema_id], made.metadata
-                    )
-                case Message():
-                    writer.add_message(
-                        channels[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
-                    )
-                case Metadata():
-                    writer.add_metadata(record.name, record.metadata)
-                case _ if type(record).__name__ == "Attachment":
-                    attachments.append(record)
-        for record in attachments:
-            writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
-        writer.finish()
-    return target
-
-
 def _exchanged(files: Any, file: Any, vector: Any) -> None:
     """By which viewers would read x where y was written."""
     vector.field[0].name, vector.field[1].name = "y", "x"
@@ -216,15 +180,15 @@ def _twice(files: Any, file: Any, vector: Any) -> None:
 def test_another_definition_of_a_type(spoil: Callable[[Any, Any, Any], None], small: Path, tmp_path: Path) -> None:
     """Find a definition that is not the public one."""
 
-    def other(record: Any) -> Any:
-        if record.name == "foxglove.PosesInFrame":
+    def other(record: Any, _: str) -> Any:
+        if isinstance(record, Schema) and record.name == "foxglove.PosesInFrame":
             files = descriptor_pb2.FileDescriptorSet.FromString(record.data)
             ((file, vector),) = ((f, m) for f in files.file for m in f.message_type if m.name == "Vector3")
             spoil(files, file, vector)
             record.data = files.SerializeToString()
         return record
 
-    found = examine(redeclared(small, tmp_path / "other.mcap", schema=other)).problems
+    found = examine(copied(small, tmp_path / "other.mcap", other, enable_data_crcs=True)).problems
     assert found.of(Kind.view) == ("the definition of foxglove.PosesInFrame in the file is not the public one",)
 
 
@@ -239,11 +203,12 @@ def test_another_definition_of_a_type(spoil: Callable[[Any, Any, Any], None], sm
 def test_other_topics(topic: str, told: str, small: Path, tmp_path: Path) -> None:
     """Vouch for no topic that is not made of the states, and miss those that should be there."""
 
-    def other(record: Any) -> Any:
-        record.topic = topic if record.topic == POSES else record.topic
+    def other(record: Any, _: str) -> Any:
+        if isinstance(record, Channel) and record.topic == POSES:
+            record.topic = topic
         return record
 
-    found = examine(redeclared(small, tmp_path / "other.mcap", channel=other)).problems
+    found = examine(copied(small, tmp_path / "other.mcap", other, enable_data_crcs=True)).problems
     assert set(found.kinds()) == {Kind.view}
     assert any(told in what for what in found.of(Kind.view)), found.of(Kind.view)
 
@@ -256,12 +221,12 @@ def test_more_environments_than_any_recorder_shows(
     monkeypatch.setattr(view, "MAX_VIEW", 3)
     numbers: dict[str, int] = {}
 
-    def other(record: Any) -> Any:
-        if "/view/" in record.topic and record.topic != LOG:
+    def other(record: Any, _: str) -> Any:
+        if isinstance(record, Channel) and "/view/" in record.topic and record.topic != LOG:
             record.topic = f"{record.topic[:-6]}{numbers.setdefault(record.topic, len(numbers)):06d}"
         return record
 
-    found = examine(redeclared(small, tmp_path / "other.mcap", channel=other)).problems
+    found = examine(copied(small, tmp_path / "other.mcap", other, enable_data_crcs=True)).problems
     assert found.of(Kind.view) == (f"it shows {len(numbers)} environments; no recorder shows more than 3",)
 
 

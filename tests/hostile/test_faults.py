@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 import sys
 
 import pytest
+
+from tests.conftest import finished
 
 _EVERY = 1 << 30
 
@@ -27,10 +28,7 @@ _EVERY = 1 << 30
 def test_no_fault_spoils_a_result(most: int, scenarios: tuple[str, ...]) -> None:
     """Make the first and the last call of each kind fail, or every call; all: python -m tests.hostile.faults."""
     names = [word for name in scenarios for word in ("--scenario", name)]
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.hostile.faults", "--most", str(most), *names], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = finished([sys.executable, "-m", "tests.hostile.faults", "--most", str(most), *names])
     tried = json.loads(done.stdout[done.stdout.index('{\n "tried"') :])["tried"]
     assert set(tried) == set(scenarios)
     assert all(count >= 10 for count in tried.values())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 
 from gpusimbench.evaluator.cli import eval as evaluate
 from gpusimbench.schemas.errors import ExitCode
+from tests.conftest import finished
 from tests.hostile.amplifiers import write_amplifiers
 from tests.synthetic import grid, write_recording
 
@@ -65,10 +65,7 @@ def test_memory_of_commands(command: str, amplifiers: dict[str, Path], tmp_path:
         ]
         for path in amplifiers.values()
     ]
-    done = subprocess.run(
-        [sys.executable, "-c", _RUN], input=json.dumps([command, *calls]), capture_output=True, text=True, timeout=600
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = finished([sys.executable, "-c", _RUN], input=json.dumps([command, *calls]), timeout=600)
     found = dict(zip(amplifiers, json.loads(done.stdout), strict=True))
     codes = {what: code for what, (code, _) in found.items()}
     peaks = {what: peak >> 20 for what, (_, peak) in found.items()}

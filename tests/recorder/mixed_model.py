@@ -100,15 +100,81 @@ def stepped(simulator: Simulator, description: Description, steps: int) -> dict[
     return found
 
 
-def read_back(simulator: Any, description: Description, seed: int) -> Any:
-    """Set states that are drawn, each in its environment's place, and read them back; returns MuJoCo's qpos of them."""
-    states, (qpos, _) = drawn(simulator._model.compiled, simulator.n_env, seed)
-    origins = np.array(description.env_origins)[:, None]
+def put(simulator: Any, description: Description, seed: int) -> tuple[States, tuple[Any, Any]]:
+    """Set states that are drawn, each in its environment's place; returns them, and MuJoCo's own qpos and qvel."""
+    states, own = drawn(simulator._model.compiled, simulator.n_env, seed)
+    origins = _origins(simulator, description)[:, None]
     given = tuple(a + origins if f.field == "position" else a for f, a in zip(description.fields, states, strict=True))
     simulator.set_state(given)
+    return given, own
+
+
+def _origins(simulator: Any, description: Description) -> np.ndarray[Any, Any]:
+    return np.array(description.env_origins or np.zeros((simulator.n_env, 3)))
+
+
+def read_back(simulator: Any, description: Description, seed: int) -> Any:
+    """Read back the states that were put; returns MuJoCo's qpos of them."""
+    given, (qpos, _) = put(simulator, description, seed)
     for field, a, b in zip(description.fields, simulator.state(), given, strict=True):
         np.testing.assert_allclose(a, b, atol=2e-6, err_msg=field.name)
     return qpos
+
+
+def hold_places(simulator: Any, description: Description, seed: int) -> None:
+    """Read back the states that were put, with the bodies where MuJoCo puts them, in every environment; links that the
+    engine adds come behind them."""
+    model = simulator._model.compiled.model
+    qpos = read_back(simulator, description, seed)
+    positions, orientations = (array[:, : model.nbody] for array in simulator.link_poses())
+    for row, origin, position, orientation in zip(
+        qpos, _origins(simulator, description), positions, orientations, strict=True
+    ):
+        data = mujoco.MjData(model)
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(position - origin, data.xpos, atol=5e-6)
+        np.testing.assert_allclose(np.abs(np.sum(orientation * data.xquat, axis=1)), 1, atol=1e-6)
+
+
+def step_alike(simulator: Any, description: Description, seed: int, share: float, *, positions: bool = True) -> None:
+    """Make the step of MuJoCo from states that were put, under drawn controls.
+
+    share      of the largest change of a velocity by which velocities may differ
+    positions  whether joints have to be where MuJoCo has them
+    """
+    compiled, n_env = simulator._model.compiled, simulator.n_env
+    _, (qpos, qvel) = put(simulator, description, seed)
+    controls = simulator.scene.actions.draw(seed, n_env=n_env, first_step=0, n_step=1)
+    simulator.prepare(controls)
+    simulator.step(1)
+    after = dict(zip((f.name for f in description.fields), simulator.state(), strict=True))
+    for env in range(n_env):
+        data = mujoco.MjData(compiled.model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[env], qvel[env], controls[0, env]
+        mujoco.mj_step(compiled.model, data)
+        assert not data.ncon
+        wanted = dict(zip(after, compiled.split(data.qpos[None], data.qvel[None]), strict=True))
+        change = np.abs(data.qvel - qvel[env]).max()
+        assert change > 0.01
+        for name in ("joints/qvel", "bodies/linear_velocity", "bodies/angular_velocity"):
+            np.testing.assert_allclose(after[name][env], wanted[name][0], atol=share * change, err_msg=name)
+        if positions:
+            np.testing.assert_allclose(after["joints/qpos"][env], wanted["joints/qpos"][0], atol=3e-6 * (1 + change))
+
+
+def wedge(folder: Path) -> ModelScene:
+    """The scene of a mesh of half height 0.05 m above a plane."""
+    (folder / "wedge.obj").write_text(
+        "".join(f"v {x} {y} {z}\n" for x in (-0.2, 0.2) for y in (-0.1, 0.1) for z in (-0.05, 0.05))
+        + "f 1 2 4\nf 1 4 3\nf 5 7 8\nf 5 8 6\nf 1 5 6\nf 1 6 2\nf 3 4 8\nf 3 8 7\nf 1 3 7\nf 1 7 5\nf 2 6 8\nf 2 8 4\n"
+    )
+    text = (
+        '<mujoco><option timestep="0.005"/><asset><mesh name="w" file="wedge.obj"/></asset><worldbody>'
+        '<geom type="plane" size="5 5 .1"/><body name="b" pos="0 0 .3" euler="0 0 30"><freejoint/>'
+        '<geom type="mesh" mesh="w" mass="2"/></body></worldbody></mujoco>'
+    )
+    return scene_of(text, folder)
 
 
 def hold_parameters(held: Imported) -> list[Finding]:

@@ -269,7 +269,7 @@ def test_every_shipped_recording_has_room() -> None:
 def test_a_cage_travels(tmp_path: Path) -> None:
     """Send a run's cage to where the run is made."""
     run = RunConfiguration("mujoco", "free-fall", 1, 0.01, 5)
-    task = Task.of(run, (), cage=Cage(7, 9))
+    task = Task(run, (), cage=Cage(7, 9))
     assert Task.from_json(json.loads(json.dumps(task.to_json()))) == task
     assert Task.from_json(json.loads(json.dumps(replace(task, cage=None).to_json()))).cage is None
 

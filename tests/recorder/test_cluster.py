@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -183,7 +184,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Task, Path]:
     assert done.returncode == 0
     (path,) = folder.iterdir()
     said = open_recording(path).provenance
-    return Task(said.configuration, said.run_id, said.created_utc, said.argv), path
+    return Task(said.configuration, said.argv, run_id=said.run_id, created=said.created_utc), path
 
 
 def _hashed(path: Path) -> dict[str, Any]:
@@ -217,7 +218,7 @@ def test_a_file_that_is_not_right_leaves_nothing(made: tuple[Task, Path], tmp_pa
     (source / path.name).write_bytes(content[: len(content) // 2] if spoil == "unfinished" else content)
     described = _hashed(source / path.name)
     if spoil == "another":
-        task = Task(task.configuration, "another", task.created, task.argv)
+        task = replace(task, run_id="another")
 
     def read(name: str, offset: int, length: int) -> bytes:
         piece = _read(name, offset, length)
@@ -302,7 +303,7 @@ def test_a_node_without_the_engine(tmp_path: Path) -> None:
 def test_a_node_that_nobody_listens_to_any_more(tmp_path: Path) -> None:
     """Kill the run, and leave nothing behind, when the input ends."""
     long = RunConfiguration("mujoco", "free-fall", 2, 0.01, 20, timed_steps=10_000_000)
-    process = _node(tmp_path, task=Task.of(long, ("gsb-record",)).to_json())
+    process = _node(tmp_path, task=Task(long, ("gsb-record",)).to_json())
     assert next(_lines(process))["phase"]
     assert list(tmp_path.iterdir())
     process.communicate(timeout=60)

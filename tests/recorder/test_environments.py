@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 import venv
 from pathlib import Path
@@ -19,7 +18,7 @@ from gpusimbench.recorder.environments.specification import SPECIFICATIONS, Spec
 from gpusimbench.recorder.environments.store import FOLDER_VARIABLE, Prepared, find, folder_of, prepared
 from gpusimbench.recorder.simulators.registry import BUILT_IN, Entry
 from gpusimbench.schemas.errors import GsbError, UsageError
-from tests.conftest import SMALL, Command
+from tests.conftest import SMALL, Command, finished
 
 specifications = pytest.mark.parametrize("specification", SPECIFICATIONS.values(), ids=lambda s: s.simulator)
 
@@ -251,9 +250,7 @@ def test_another_python_gets_our_code_and_nothing_else(borrowing: Path, tmp_path
     other = Interpreter(borrowing / "bin" / "python")
     code = "import gpusimbench.recorder, gpusimbench.schemas; print(gpusimbench.__file__); import importlib.util as u; "
     code += "print(u.find_spec('recorder'), u.find_spec('tests'))"
-    done = subprocess.run(
-        other.command("-c", code), env=other.environment(tmp_path), capture_output=True, text=True, check=True
-    )
+    done = finished(other.command("-c", code), env=other.environment(tmp_path))
     where, others = done.stdout.splitlines()
     assert where.startswith(str(tmp_path))
     assert others == "None None"
@@ -280,8 +277,7 @@ def test_a_sweep_goes_on_in_the_same_python_only(borrowing: Path, tmp_path: Path
 def test_conformance_runs_in_another_python(borrowing: Path, tmp_path: Path) -> None:
     """Check an adapter in the Python that has its engine."""
     command = [sys.executable, "-m", "gpusimbench.recorder.conformance", "--sim", "mujoco", "--json"]
-    done = subprocess.run([*command, "--python", str(borrowing)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    done = finished([*command, "--python", str(borrowing)])
     assert {check["outcome"] for check in json.loads(done.stdout)["checks"]} <= {"ok", "skipped"}
 
 
@@ -291,8 +287,7 @@ def test_conformance_asks_once(borrowing: Path, tmp_path: Path) -> None:
     wrapper.write_text(f'#!/bin/sh\nexec {borrowing}/bin/python "$@"\n')
     wrapper.chmod(0o755)
     command = [sys.executable, "-m", "gpusimbench.recorder.conformance", "--sim", "mujoco", "--option", "no=1"]
-    done = subprocess.run([*command, "--python", str(wrapper)], capture_output=True, text=True, timeout=100)
-    assert done.returncode == 2
+    done = finished([*command, "--python", str(wrapper)], code=2, timeout=100)
     assert "has no option 'no'" in done.stderr
 
 

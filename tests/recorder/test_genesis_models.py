@@ -27,7 +27,7 @@ from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.model_files import pack
 from tests.recorder import engines
-from tests.recorder.mixed_model import MIXED, drawn, scene_of, stepped
+from tests.recorder.mixed_model import MIXED, hold_places, scene_of, step_alike, stepped, wedge
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
 _FEET = "".join(f'<exclude body1="{side}foot" body2="{side}shin"/>' for side in ("left", "right"))
@@ -72,59 +72,23 @@ def _both(scene: ModelScene, steps: int) -> tuple[dict[str, Any], dict[str, Any]
     return stepped(*_genesis(scene), steps), wanted
 
 
-def _random(simulator: Any, seed: int) -> tuple[Any, Any]:
-    """Random states of all environments, within limits, as set; and MuJoCo's own qpos and qvel of them."""
-    states, own = drawn(simulator._model.compiled, simulator.n_env, seed)
-    simulator.set_state(states)
-    return states, own
-
-
 @pytest.mark.parametrize("which", ["mixed", "walker"])
 def test_kinematics(which: str, tmp_path: Path) -> None:
     """Put the bodies of random states where MuJoCo puts them, and read the states back: offsets, references, chains of
     joints, welds and ball joints are all as MuJoCo means them, in every environment."""
     scene = scene_of(EULER, tmp_path) if which == "mixed" else model_scene("walker", pack(WALKER))
     simulator, description = _genesis(scene, n_env=5)
-    model = simulator._model.compiled.model
+    assert simulator.imported().names["bodies"] == of_c(simulator._model.compiled.model).names["bodies"]
     for seed in range(3):
-        given, (qpos, _) = _random(simulator, seed)
-        for field, a, b in zip(description.fields, simulator.state(), given, strict=True):
-            np.testing.assert_allclose(a, b, atol=2e-6, err_msg=field.name)
-        positions, orientations = simulator.link_poses()
-        assert simulator.imported().names["bodies"] == of_c(model).names["bodies"]
-        for env, row in enumerate(qpos):
-            data = mujoco.MjData(model)
-            data.qpos[:] = row
-            mujoco.mj_kinematics(model, data)
-            np.testing.assert_allclose(positions[env], data.xpos, atol=5e-6)
-            turned = np.abs(np.sum(orientations[env] * data.xquat, axis=1))
-            np.testing.assert_allclose(turned, 1, atol=1e-6)
+        hold_places(simulator, description, seed)
 
 
 def test_accelerations(tmp_path: Path) -> None:
     """Make the step of MuJoCo from random states: masses, inertias, gravity, armature, damping, motors of joints and of
     a tendon, clamped controls and forces, and servos, in floating and fixed trees."""
-    scene = scene_of(EULER, tmp_path)
-    simulator, description = _genesis(scene, n_env=4)
-    compiled = simulator._model.compiled
-    assert scene.actions is not None
+    simulator, description = _genesis(scene_of(EULER, tmp_path), n_env=4)
     for seed in range(3):
-        _, (qpos, qvel) = _random(simulator, seed)
-        controls = scene.actions.draw(seed, n_env=4, first_step=0, n_step=1)
-        simulator.prepare(controls)
-        simulator.step(1)
-        after = dict(zip((f.name for f in description.fields), simulator.state(), strict=True))
-        for env in range(4):
-            data = mujoco.MjData(compiled.model)
-            data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[env], qvel[env], controls[0, env]
-            mujoco.mj_step(compiled.model, data)
-            assert not data.ncon
-            wanted = dict(zip(after, compiled.split(data.qpos[None], data.qvel[None]), strict=True))
-            change = np.abs(data.qvel - qvel[env]).max()
-            assert change > 0.01
-            for name in ("joints/qvel", "bodies/linear_velocity", "bodies/angular_velocity"):
-                np.testing.assert_allclose(after[name][env], wanted[name][0], atol=2e-4 * change, err_msg=name)
-            np.testing.assert_allclose(after["joints/qpos"][env], wanted["joints/qpos"][0], atol=3e-6 * (1 + change))
+        step_alike(simulator, description, seed, 2e-4)
 
 
 def test_the_walker() -> None:
@@ -387,16 +351,7 @@ def test_what_it_has_otherwise(tmp_path: Path) -> None:
 
 def test_a_mesh(tmp_path: Path) -> None:
     """Rest a mesh on its face, as high as MuJoCo does, and hold it where it is."""
-    (tmp_path / "wedge.obj").write_text(
-        "".join(f"v {x} {y} {z}\n" for x in (-0.2, 0.2) for y in (-0.1, 0.1) for z in (-0.05, 0.05))
-        + "f 1 2 4\nf 1 4 3\nf 5 7 8\nf 5 8 6\nf 1 5 6\nf 1 6 2\nf 3 4 8\nf 3 8 7\nf 1 3 7\nf 1 7 5\nf 2 6 8\nf 2 8 4\n"
-    )
-    text = (
-        '<mujoco><option timestep="0.005"/><asset><mesh name="w" file="wedge.obj"/></asset><worldbody>'
-        '<geom type="plane" size="5 5 .1"/><body name="b" pos="0 0 .3" euler="0 0 30"><freejoint/>'
-        '<geom type="mesh" mesh="w" mass="2"/></body></worldbody></mujoco>'
-    )
-    simulator, description = _genesis(scene_of(text, tmp_path))
+    simulator, description = _genesis(wedge(tmp_path))
     assert {d.parameter for d in description.deviations} == {"option.tolerance"}
     height = stepped(simulator, description, 150)["bodies/position"][-1, :, 0, 2]
     np.testing.assert_allclose(height, 0.05, atol=2e-3)

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -27,12 +26,12 @@ from tests.recorder.mixed_model import (
     MIXED,
     TOUCHING,
     answer_trials,
-    drawn,
     hold_parameters,
+    hold_places,
     move_by_actuator,
-    read_back,
     reset_alone,
     scene_of,
+    step_alike,
     stepped,
     world,
 )
@@ -70,20 +69,9 @@ def test_kinematics_and_states(tmp_path: Path) -> None:
     to the world; read the states back; reset one environment and leave the others as they are; go on from a
     snapshot."""
     with _built(scene_of(MIXED, tmp_path, actions="none"), n_env=3) as (simulator, description):
-        model = simulator._model.compiled.model
         first = simulator.state()
-        origins = np.array(description.env_origins)[:, None]
         for seed in range(2):
-            qpos = read_back(simulator, description, seed)
-            positions, orientations = simulator.link_poses()
-            for env, row in enumerate(qpos):
-                data = mujoco.MjData(model)
-                data.qpos[:] = row
-                mujoco.mj_kinematics(model, data)
-                place = positions[env, : model.nbody] - origins[env]
-                np.testing.assert_allclose(place, data.xpos, atol=5e-6)
-                turned = np.abs(np.sum(orientations[env, : model.nbody] * data.xquat, axis=1))
-                np.testing.assert_allclose(turned, 1, atol=1e-6)
+            hold_places(simulator, description, seed)
         simulator.reset()
         simulator.step(3)
         saved = simulator.snapshot()
@@ -98,30 +86,9 @@ def test_accelerations(tmp_path: Path) -> None:
     """Make the step of MuJoCo from random states: masses, inertias, gravity, armature, damping, motors of joints and of
     a tendon, clamped controls and forces, and servos, in floating and fixed trees."""
     scene = scene_of(MIXED, tmp_path)
-    assert scene.actions is not None
     with _built(scene, n_env=4, contact_offset=1e-4, position_iterations=1) as (simulator, description):
-        compiled = simulator._model.compiled
-        origins = np.array(description.env_origins)[:, None]
         for seed in range(2):
-            states, (qpos, qvel) = drawn(compiled, simulator.n_env, seed)
-            simulator.set_state(
-                tuple(
-                    a + origins if f.field == "position" else a for f, a in zip(description.fields, states, strict=True)
-                )
-            )
-            controls = scene.actions.draw(seed, n_env=4, first_step=0, n_step=1)
-            simulator.prepare(controls)
-            simulator.step(1)
-            after = dict(zip((f.name for f in description.fields), simulator.state(), strict=True))
-            for env in range(4):
-                data = mujoco.MjData(compiled.model)
-                data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[env], qvel[env], controls[0, env]
-                mujoco.mj_step(compiled.model, data)
-                wanted = dict(zip(after, compiled.split(data.qpos[None], data.qvel[None]), strict=True))
-                change = np.abs(data.qvel - qvel[env]).max()
-                assert change > 0.01
-                for name in ("joints/qvel", "bodies/linear_velocity", "bodies/angular_velocity"):
-                    np.testing.assert_allclose(after[name][env], wanted[name][0], atol=2e-3 * change, err_msg=name)
+            step_alike(simulator, description, seed, 2e-3, positions=False)
 
 
 HINGE = '<body name="r"><joint name="j" axis="0 0 1" {0}/><geom type="capsule" size=".1 .2" mass="1"/></body>'

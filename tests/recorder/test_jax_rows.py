@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
+from tests.conftest import finished
 
 jax = pytest.importorskip("jax")
 
@@ -103,9 +103,7 @@ def test_arrays_on_several_devices() -> None:
     """Keep arrays that two devices share, and name the one that is elsewhere than the others or than in the rows
     before."""
     flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run(
-        [sys.executable, "-c", _TWO_DEVICES], env={**os.environ, **flags}, capture_output=True, text=True, check=True
-    )
+    done = finished([sys.executable, "-c", _TWO_DEVICES], env={**os.environ, **flags})
     told = [line.partition(": ")[0] for line in done.stdout.splitlines()]
     kept = "and the arrays that are kept are on cpu:0"
     assert told == [

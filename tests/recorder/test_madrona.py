@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,6 +23,7 @@ from gpusimbench.recorder.simulators.madrona.module import METHODS, REQUIRED_SET
 from gpusimbench.recorder.simulators.madrona.options import VARIABLE, MadronaOptions
 from gpusimbench.recorder.simulators.madrona.simulator import Madrona
 from gpusimbench.schemas.errors import UsageError
+from tests.conftest import finished
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
@@ -470,8 +470,7 @@ def test_a_recording_from_end_to_end(tmp_path: Path) -> None:
         "--scene", "free-fall", "--n-env", "4", "--runs", "2", "--steps", "60", "--warmup", "3", "--timed-steps", "5",
         "--out", str(tmp_path / "out"),
     ]  # fmt: skip
-    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": PATHS}, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
+    finished(command, env={**os.environ, "PYTHONPATH": PATHS})
     files = sorted((tmp_path / "out").glob("madrona-free-fall-n4-*.mcap"))
     assert len(files) == 2
     recording = open_recording(files[0])
@@ -491,10 +490,7 @@ def test_a_recording_from_end_to_end(tmp_path: Path) -> None:
         "--json",
         "-",
     ]
-    evaluated = subprocess.run(
-        evaluate, env={**os.environ, "PYTHONPATH": PATHS}, capture_output=True, text=True, timeout=300
-    )
-    assert evaluated.returncode == 0, evaluated.stderr
+    finished(evaluate, env={**os.environ, "PYTHONPATH": PATHS})
 
 
 def test_a_refused_module_ends_the_run_with_its_reason(tmp_path: Path) -> None:
@@ -503,8 +499,7 @@ def test_a_refused_module_ends_the_run_with_its_reason(tmp_path: Path) -> None:
         sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", "madrona", "--option", "module=no_such_module",
         "--scene", "free-fall", "--n-env", "1", "--runs", "1", "--out", str(tmp_path / "out"),
     ]  # fmt: skip
-    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": PATHS}, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 1
+    done = finished(command, code=1, env={**os.environ, "PYTHONPATH": PATHS})
     assert "madrona module 'no_such_module': cannot be imported" in done.stderr
 
 

@@ -14,11 +14,10 @@ import pytest
 pytest.importorskip("newton")
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
 from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.mujoco.options import own_options
 from gpusimbench.recorder.simulators.newton.made import as_mujoco_has_it
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS
 from gpusimbench.schemas.errors import ExitCode, UsageError
@@ -54,8 +53,7 @@ def _imported(scene: ModelScene, solver: str = "mujoco") -> tuple[Any, MjcfModel
     from gpusimbench.recorder.simulators.warp import runtime
 
     runtime.start("cpu")
-    own = parse_options("mujoco", MjcfOptions, scene.options({}, names_of(MjcfOptions)))
-    compiled = compile_scene(scene, dt=scene.dt, options=own)
+    compiled = compile_scene(scene, dt=scene.dt, options=own_options(scene))
     options = NewtonOptions(solver=solver)
     return one_world(scene, compiled, options, register(options)), compiled
 

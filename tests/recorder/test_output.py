@@ -15,7 +15,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from tests.conftest import SMALL, Command, command, distribution
+from tests.conftest import SMALL, Command, command, distribution, finished
 
 
 def _on_a_terminal(arguments: list[str], stdout: Path | None = None) -> tuple[int, str]:
@@ -98,11 +98,11 @@ def test_a_path_in_another_encoding(gsb_record: Command, tmp_path: Path) -> None
 def test_words_that_the_output_cannot_show(tmp_path: Path) -> None:
     """Say in one line which character standard output cannot show, and end with 1."""
     distribution(tmp_path, "übung", "[gsb.simulators]\nübung = nowhere:Nothing\n")
-    done = subprocess.run(
-        [*command("gsb-record"), "--list"], capture_output=True, text=True, timeout=60,
+    done = finished(
+        [*command("gsb-record"), "--list"],
+        code=1,
         env={**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONPATH": str(tmp_path)},
-    )  # fmt: skip
-    assert done.returncode == 1
+    )
     assert len(done.stderr.splitlines()) == 1
     assert "standard output is in ascii and cannot show '\\xfc'" in done.stderr
 

@@ -25,12 +25,14 @@ from tests.recorder.mixed_model import (
     MIXED,
     TOUCHING,
     answer_trials,
-    drawn,
     hold_parameters,
+    hold_places,
     move_by_actuator,
     reset_alone,
     scene_of,
+    step_alike,
     stepped,
+    wedge,
     world,
 )
 
@@ -69,62 +71,22 @@ def _both(scene: ModelScene, steps: int, **options: Any) -> tuple[Any, Any]:
     return _states(*_physx(scene, **options), steps), _states(*engines.build("mujoco", scene), steps)
 
 
-def _random(simulator: Any, description: Description, seed: int) -> tuple[Any, Any]:
-    """Random states of all environments, within limits, as set; and MuJoCo's own qpos and qvel of them."""
-    states, own = drawn(simulator._model.compiled, simulator.n_env, seed)
-    origins = np.array(description.env_origins)[:, None]
-    given = tuple(a + origins if f.field == "position" else a for f, a in zip(description.fields, states, strict=True))
-    simulator.set_state(given)
-    return given, own
-
-
 def test_kinematics(tmp_path: Path) -> None:
     """Put the bodies of random states where MuJoCo puts them, and read the states back: quaternions, centres of mass,
     reference angles, chains of joints and welds are all taken as PhysX means them, in every environment."""
     simulator, description = _physx(scene_of(MIXED, tmp_path), n_env=5)
     model = simulator._model.compiled.model
+    assert simulator.imported().names["bodies"][: model.nbody] == tuple(model.body(b).name for b in range(model.nbody))
     for seed in range(3):
-        given, (qpos, _) = _random(simulator, description, seed)
-        for field, a, b in zip(description.fields, simulator.state(), given, strict=True):
-            np.testing.assert_allclose(a, b, atol=2e-6, err_msg=field.name)
-        positions, orientations = simulator.link_poses()
-        names = simulator.imported().names["bodies"]
-        for env, row in enumerate(qpos):
-            data = mujoco.MjData(model)
-            data.qpos[:] = row
-            mujoco.mj_kinematics(model, data)
-            bodies = range(model.nbody)
-            assert names[: model.nbody] == tuple(model.body(b).name for b in bodies)
-            place = positions[env, : model.nbody] - np.array(description.env_origins[env])
-            np.testing.assert_allclose(place, data.xpos, atol=5e-6)
-            turned = np.abs(np.sum(orientations[env, : model.nbody] * data.xquat, axis=1))
-            np.testing.assert_allclose(turned, 1, atol=1e-6)
+        hold_places(simulator, description, seed)
 
 
 def test_accelerations(tmp_path: Path) -> None:
     """Make the step of MuJoCo from random states: masses, inertias, gravity, armature, damping, motors of joints and of
     a tendon, clamped controls and forces, and servos, in floating and fixed trees."""
-    scene = scene_of(MIXED, tmp_path)
-    simulator, description = _physx(scene, n_env=4, solver="PGS", contact_offset=1e-4)
-    model = simulator._model.compiled.model
-    assert scene.actions is not None
+    simulator, description = _physx(scene_of(MIXED, tmp_path), n_env=4, solver="PGS", contact_offset=1e-4)
     for seed in range(3):
-        _, (qpos, qvel) = _random(simulator, description, seed)
-        controls = scene.actions.draw(seed, n_env=4, first_step=0, n_step=1)
-        simulator.prepare(controls)
-        simulator.step(1)
-        after = dict(zip((f.name for f in description.fields), simulator.state(), strict=True))
-        for env in range(4):
-            data = mujoco.MjData(model)
-            data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[env], qvel[env], controls[0, env]
-            mujoco.mj_step(model, data)
-            assert not data.ncon
-            wanted = dict(zip(after, simulator._model.compiled.split(data.qpos[None], data.qvel[None]), strict=True))
-            change = np.abs(data.qvel - qvel[env]).max()
-            assert change > 0.01
-            for name in ("joints/qvel", "bodies/linear_velocity", "bodies/angular_velocity"):
-                np.testing.assert_allclose(after[name][env], wanted[name][0], atol=2e-3 * change, err_msg=name)
-            np.testing.assert_allclose(after["joints/qpos"][env], wanted["joints/qpos"][0], atol=3e-6 * (1 + change))
+        step_alike(simulator, description, seed, 2e-3)
 
 
 CART = world(
@@ -402,16 +364,7 @@ def test_gravity_that_is_compensated(tmp_path: Path) -> None:
 
 def test_a_mesh(tmp_path: Path) -> None:
     """Rest a mesh on its face, as high as MuJoCo does."""
-    (tmp_path / "wedge.obj").write_text(
-        "".join(f"v {x} {y} {z}\n" for x in (-0.2, 0.2) for y in (-0.1, 0.1) for z in (-0.05, 0.05))
-        + "f 1 2 4\nf 1 4 3\nf 5 7 8\nf 5 8 6\nf 1 5 6\nf 1 6 2\nf 3 4 8\nf 3 8 7\nf 1 3 7\nf 1 7 5\nf 2 6 8\nf 2 8 4\n"
-    )
-    text = (
-        '<mujoco><option timestep="0.005"/><asset><mesh name="w" file="wedge.obj"/></asset><worldbody>'
-        '<geom type="plane" size="5 5 .1"/><body name="b" pos="0 0 .3" euler="0 0 30"><freejoint/>'
-        '<geom type="mesh" mesh="w" mass="2"/></body></worldbody></mujoco>'
-    )
-    simulator, description = _physx(scene_of(text, tmp_path))
+    simulator, description = _physx(wedge(tmp_path))
     assert "contact.meshes" in {d.parameter for d in description.deviations}
     height = _states(simulator, description, 150)["bodies/position"][-1, :, 0, 2]
     np.testing.assert_allclose(height, 0.05, atol=2e-3)

@@ -33,10 +33,10 @@ _KILLS = 50
 _AT_ONCE = 4
 
 
-def _official(path: Path) -> dict[str, list[bytes]]:
-    """Contents of all whole messages by topic, as the official library reads a file from its beginning."""
+def _messages(path: Path) -> dict[str, list[Message]]:
+    """All whole messages by topic, as the official library reads a file from its beginning."""
     topics: dict[int, str] = {}
-    found: dict[str, list[bytes]] = {}
+    found: dict[str, list[Message]] = {}
     with path.open("rb") as stream:
         records = StreamReader(stream, record_size_limit=None).records
         with suppress(McapError, EOFError):
@@ -44,8 +44,12 @@ def _official(path: Path) -> dict[str, list[bytes]]:
                 if isinstance(record, Channel):
                     topics[record.id] = record.topic
                 elif isinstance(record, Message):
-                    found.setdefault(topics[record.channel_id], []).append(record.data)
+                    found.setdefault(topics[record.channel_id], []).append(record)
     return found
+
+
+def _contents(path: Path) -> dict[str, list[bytes]]:
+    return {topic: [message.data for message in found] for topic, found in _messages(path).items()}
 
 
 def _ours(path: Path) -> dict[str, list[bytes]]:
@@ -66,9 +70,9 @@ def _check_partial(path: Path, before: bytes, folder: Path) -> str:
     try:
         recording = open_recording(path)
     except RecordingError:
-        assert not _official(path), "whole messages are there, and it cannot be opened"
+        assert not _contents(path), "whole messages are there, and it cannot be opened"
         return "nothing yet"
-    official, ours, seen = _official(path), _ours(path), _official(snapshot)
+    official, ours, seen = _contents(path), _ours(path), _contents(snapshot)
     assert ours == official
     for topic, contents in seen.items():
         assert official[topic][: len(contents)] == contents
@@ -270,7 +274,7 @@ def test_a_wall_clock_that_jumps(gsb_record: Command, jumping: dict[str, str], t
     calm = _record_jumps(gsb_record, jumping, tmp_path / "calm", jumps=False)
     wild = _record_jumps(gsb_record, jumping, tmp_path / "wild", jumps=True)
     assert wild.status == "complete"
-    messages = _official_messages(wild.path)
+    messages = _messages(wild.path)
     written = [m.publish_time for ms in messages.values() for m in ms]
     assert max(written) - min(written) > 3600 * 10**9, "the clock did not jump; nothing was tried"
     for topic, found in messages.items():
@@ -281,18 +285,6 @@ def test_a_wall_clock_that_jumps(gsb_record: Command, jumping: dict[str, str], t
     metrics = _metrics(wild)
     assert metrics["w1_parallel"] == pytest.approx(100 * 0.081 * 2**0.5, rel=1e-4)  # cm: environment 1 lies beside 0
     assert metrics == _metrics(calm)
-
-
-def _official_messages(path: Path) -> dict[str, list[Message]]:
-    topics: dict[int, str] = {}
-    found: dict[str, list[Message]] = {}
-    with path.open("rb") as stream:
-        for record in StreamReader(stream).records:
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Message):
-                found.setdefault(topics[record.channel_id], []).append(record)
-    return found
 
 
 def _metrics(recording: Recording) -> dict[str, object]:
@@ -340,6 +332,6 @@ def test_a_wall_clock_that_no_field_can_hold(
     assert recording.status == "complete"
     assert {event.unix_ns for event in recording.events} == {held}
     assert any(event.kind == "NOTE" and said in event.text for event in recording.events)
-    assert {m.publish_time for ms in _official_messages(recording.path).values() for m in ms} == {held}
+    assert {m.publish_time for ms in _messages(recording.path).values() for m in ms} == {held}
     assert {p.suffix for p in (tmp_path / "out").iterdir()} == {".mcap"}
     assert call("gsb-check", recording.path).returncode == 0

@@ -14,7 +14,7 @@ from gpusimbench import open_recording
 from gpusimbench.recorder.process.launch import _End, _result
 from gpusimbench.recorder.sets.finished import read_end
 from gpusimbench.schemas.configuration import RunConfiguration
-from tests.conftest import command, wait_for
+from tests.conftest import command, finished, wait_for
 from tests.synthetic import write_recording
 
 pytestmark = pytest.mark.alone
@@ -101,8 +101,7 @@ def test_a_signal_is_no_failure_of_the_engine(delicate: dict[str, str], tmp_path
         assert read_end(file).outcome.cause == "INTERRUPTED"
         assert open_recording(file).reason.startswith("interrupted in phase ")
 
-    again = subprocess.run(sweep, env=delicate, capture_output=True, text=True, timeout=60)
-    assert again.returncode == 0, again.stderr
+    again = finished(sweep, env=delicate)
     assert json.loads(again.stdout)["sweep"]["n_env_max"] == 1
 
 
@@ -114,8 +113,7 @@ def test_the_end_of_time_is_no_failure_of_the_engine(delicate: dict[str, str], t
     (run,) = json.loads(done.stdout)["runs"]
     assert (run["status"], run["cause"]) == ("failed", "TIMEOUT"), done.stderr
     assert read_end(Path(run["file"])).outcome.cause == "TIMEOUT"
-    longer = subprocess.run([*sweep, "--timeout", "1e6"], env=delicate, capture_output=True, text=True, timeout=60)
-    assert longer.returncode == 0, longer.stderr
+    longer = finished([*sweep, "--timeout", "1e6"], env=delicate)
     assert json.loads(longer.stdout)["sweep"]["n_env_max"] == 1
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,7 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
 from gpusimbench.schemas.fields import body_field
 from gpusimbench.schemas.mcap.reader import Container
-from tests.conftest import Command, call
+from tests.conftest import Command, call, finished
 from tests.evaluator.viewing import placed, read, states
 from tests.test_docs import ROOT, commands, shell
 
@@ -369,8 +368,7 @@ def test_rerun_reads_it(plain: Path, tmp_path: Path) -> None:
     assert RERUN is not None
 
     def rerun(*arguments: object) -> str:
-        done = subprocess.run([RERUN, *map(str, arguments)], capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, done.stdout + done.stderr
+        done = finished([RERUN, *map(str, arguments)])
         return done.stdout + done.stderr
 
     checked = rerun("mcap", "check", plain, "--full").splitlines()
@@ -395,7 +393,6 @@ def test_a_blueprint_for_rerun(plain: Path, tmp_path: Path) -> None:
         [RERUN, "rrd", "verify", target],
         [RERUN, "rrd", "print", "-vvv", target],
     ):
-        done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, done.stderr
+        done = finished(list(map(str, command)))
     for kind in ("Boxes3D:half_sizes", "Ellipsoids3D:half_sizes", "TransformAxes3D:axis_length", plain.stem):
         assert kind in done.stdout

@@ -26,14 +26,14 @@ from gpusimbench.schemas import (
     imported,
     model_files,
     provenance,
-    remote,
     tosses,
-    web,
 )
 from gpusimbench.schemas import messages as types
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.fields import StateField, body_field
 from gpusimbench.schemas.mcap import chunks, contents, declarations, decompression, index, reader, records
+from gpusimbench.schemas.remote import file as remote
+from gpusimbench.schemas.remote import web
 from gpusimbench.schemas.view import geometry, shapes
 from tests.schemas.test_view_geometry import GOOD, changed
 from tests.synthetic import grid, write_recording

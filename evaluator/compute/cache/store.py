@@ -145,11 +145,12 @@ def code_version() -> str:
             digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     digest.update(f"{sys.version} {platform.machine()}\0".encode())
     for package in _PACKAGES:
-        digest.update(f"{package}={_version(package)}\0".encode())
+        digest.update(f"{package}={version_of(package)}\0".encode())
     return digest.hexdigest()
 
 
-def _version(package: str) -> str:
+def version_of(package: str) -> str:
+    """Of an installed package; empty where it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -11,7 +11,7 @@ from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
 from gpusimbench.evaluator.probe.pairs import Found
 from gpusimbench.evaluator.probe.questions import Probed
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Item, Items, Section, Text, Tone, key_of, table
-from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.render.numbers import plural, ulps
 from gpusimbench.evaluator.report.sections.determinism_cost import ratio
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.determinism_cost import Family
@@ -110,9 +110,9 @@ def _found(found: Found) -> str:
     if found.first is not None:
         first = found.first
         where = f"env {first.env_a}, {first.item} {first.field.partition('/')[2]} {first.component}"
-        ulp = f"{first.ulp:,} ULP"
-        late = f"{ulp} at step {first.step}, the first recorded state"
-        parts.append(f"first by {ulp} ({where})" if first.step == found.first_step else f"{late} ({where})")
+        how = "opposite signs" if first.signs_differ else f"{ulps(first.ulp)} ULP"
+        late = f"{how} at step {first.step}, the first recorded state"
+        parts.append(f"first by {how} ({where})" if first.step == found.first_step else f"{late} ({where})")
         if found.max_distance:
             parts.append(f"{_amount(found.max_distance, found.unit)} apart at step {found.at_step}")
         if found.level is not Level.DIFFERENT:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gpusimbench.evaluator.render.cells import estimate, quantity
+from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
@@ -91,7 +91,11 @@ def _sweep(sweep: Sweep, found: SceneSweeps) -> Row:
     best = sweep.at_max
     models = [f"{words.model(model)} ({SOURCES[name]})" for name, model in sweep.models.items()]
     models += [f"no model: {why_not} ({SOURCES[name]})" for name, why_not in sweep.no_model.items()]
-    largest = Cell(NONE, notes=("no run is complete",)) if sweep.n_max is None else quantity(float(sweep.n_max))
+    largest = (
+        Cell(NONE, notes=("no run is complete",))
+        if sweep.n_max is None
+        else Cell(f"{sweep.n_max:,}", float(sweep.n_max))
+    )
     return Row(
         (
             Cell(sweep.label, notes=(where,)),
@@ -119,7 +123,7 @@ def _point(sweep: Sweep, point: SweepPoint, found: SceneSweeps) -> Row:
     runs = f"{point.complete} of {len(point.recordings)} complete"
     return Row(
         (
-            quantity(float(point.n_env)),
+            Cell(f"{point.n_env:,}", float(point.n_env)),
             estimate(metrics[FPS.name]),
             *map(Cell, timed.cells(found.columns, point.result.timed)),
             Cell(words.amount(metrics[sweep.memory])),

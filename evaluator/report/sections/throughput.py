@@ -28,8 +28,8 @@ _OTHER_STEPS = "captured and timed steps are other steps of the scene: a differe
 
 
 def section(source: Source) -> Section | Missing | None:
-    """None where no group is left, Missing where nothing was timed or measured."""
-    if not source.shown:
+    """None where no group is left, and of tasks that nobody timed; Missing where nothing was timed or measured."""
+    if not source.shown or not (source.evaluation.timed or source.evaluation.of_bodies):
         return None
     ran = [r for r in source.shown if r.group.complete]
     timed_ones = [r for r in ran if known(r.metrics[FPS.name].value) is not None]

@@ -6,11 +6,11 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
 from typing import Any
 
 from gpusimbench import schemas
+from gpusimbench.evaluator.compute.cache.store import version_of
 from gpusimbench.evaluator.json_values import dump
 from gpusimbench.evaluator.share.dataset.contents import BROKEN, DAMAGED, INTEGRITY, WHOLE, Sum
 from gpusimbench.evaluator.share.dataset.folder import MAX_FILES, collisions, why_not
@@ -97,15 +97,8 @@ class Manifest:
 def versions() -> dict[str, str]:
     """Of this project, and of what it computes and writes with."""
     return {"gpusimbench": schemas.__version__, "python": python_version()} | {
-        name: found for name in _PACKAGES if (found := _version(name))
+        name: found for name in _PACKAGES if (found := version_of(name))
     }
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return ""
 
 
 def dump_manifest(manifest: Manifest) -> str:

@@ -93,7 +93,7 @@ class _Elsewhere(SetPlace):
             return copy.read_bytes()
 
     def size(self, path: str) -> int:
-        from gpusimbench.schemas.remote import RemoteFile
+        from gpusimbench.schemas.remote.file import RemoteFile
 
         return int(RemoteFile(child(self._base, path)).size)
 
@@ -106,7 +106,7 @@ class _Elsewhere(SetPlace):
     def names(self) -> Found | str:
         if self._base.url.lower().startswith(("http://", "https://")):
             return "a web server shows no list of its files that can be relied on"
-        from gpusimbench.schemas.remote import matching
+        from gpusimbench.schemas.remote.file import matching
 
         try:
             names = [found.url for found in matching(child(self._base, "**"), MAX_FILES)]

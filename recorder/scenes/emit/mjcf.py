@@ -6,7 +6,14 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 
 from gpusimbench.recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Robot, Scene, Shape, Sphere, Vector
-from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
+from gpusimbench.recorder.scenes.emit.deviations import (
+    LARGER,
+    combination,
+    materials_and_robot,
+    one_friction,
+    other_restitution,
+    unlimited_speed,
+)
 from gpusimbench.schemas.provenance import Deviation
 
 _TORSIONAL = 0.005  # [m], MuJoCo's default; without effect at condim 3
@@ -160,35 +167,17 @@ def deviations(scene: Scene) -> tuple[Deviation, ...]:
     One Coulomb coefficient per geom, combined over a pair by the larger of the two; no coefficient of restitution:
     contacts are damped springs (solref, solimp).
     """
-    materials = {body.material.name: body.material for body in scene.bodies}
-    if scene.robot is not None:
-        materials[scene.robot.material.name] = scene.robot.material
-    found = [
-        Deviation(
-            "contact.friction_combination",
-            "not given",
-            "the larger coefficient of the two",
-            "MuJoCo's rule for a pair of geoms of equal priority",
-        )
-    ]
-    for name, material in materials.items():
-        found.append(
-            Deviation(
-                f"{name}.static_friction",
-                str(material.static_friction),
-                str(material.kinetic_friction),
-                "MuJoCo has one friction coefficient; the kinetic one is used",
-            )
-        )
-        found.append(
-            Deviation(
-                f"{name}.restitution",
-                str(material.restitution),
+    found = [combination("friction", LARGER, "MuJoCo's rule for a pair of geoms of equal priority")]
+    for material in materials_and_robot(scene):
+        found += [
+            one_friction(material, "MuJoCo has one friction coefficient; the kinetic one is used"),
+            other_restitution(
+                material,
                 "0 (critically damped contacts)",
                 "MuJoCo has no coefficient of restitution; underdamped contacts of this stiffness gain energy at "
                 "a step of 0.01 s",
-            )
-        )
+            ),
+        ]
     if scene.robot is not None:
         found.append(unlimited_speed(scene.robot, "MuJoCo's joints have no velocity limit"))
     return tuple(found)

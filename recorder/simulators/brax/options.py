@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gpusimbench.recorder.options import AT_LEAST_1, MEASURED, one_of, require
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.emit.deviations import LARGER, MEAN, combination, materials, other_restitution
 from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
-from gpusimbench.recorder.simulators.mujoco.options import one_of
 from gpusimbench.schemas.provenance import Deviation
 
 SOLVERS = ("positional", "spring", "generalized")
@@ -39,15 +40,9 @@ class BraxOptions(JaxOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         one_of("solver", self.solver, SOLVERS)
-        for name in ("collide_scale", "baumgarte_erp"):
-            if not 0 < getattr(self, name) <= 1:
-                raise ValueError(f"{name} is a number above 0, at most 1")
-        for name in ("solver_iterations", "solver_maxls"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is at least 1")
-        for name in ("max_geom_pairs", "max_contact_points"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is 0 (measured) or a positive number")
+        require(self, (lambda v: 0 < v <= 1, "a number above 0, at most 1"), "collide_scale", "baumgarte_erp")
+        require(self, AT_LEAST_1, "solver_iterations", "solver_maxls")
+        require(self, MEASURED, "max_geom_pairs", "max_contact_points")
 
 
 _STATIC = {
@@ -68,25 +63,16 @@ def deviations(scene: Scene, options: BraxOptions) -> tuple[Deviation, ...]:
     mean of their restitutions, by Brax's.
     """
     solver, rebounds = options.solver, options.solver != "generalized" and options.restitution
-    found = [
-        Deviation(
-            "contact.friction_combination",
-            "not given",
-            "the larger coefficient of the two",
-            "rule of MJX, whose collision code Brax uses",
-        )
-    ]
+    found = [combination("friction", LARGER, "rule of MJX, whose collision code Brax uses")]
     if rebounds:
-        found.append(
-            Deviation("contact.restitution_combination", "not given", "the mean of the two coefficients", "Brax's rule")
-        )
-    for name, material in {body.material.name: body.material for body in scene.bodies}.items():
+        found.append(combination("restitution", MEAN, "Brax's rule"))
+    for material in materials(scene):
         used, why = _STATIC[solver]
         if solver == "generalized":
             used = str(material.kinetic_friction)
-        found.append(Deviation(f"{name}.static_friction", str(material.static_friction), used, why))
+        found.append(Deviation(f"{material.name}.static_friction", str(material.static_friction), used, why))
         if not rebounds:
             springs = "contacts are damped springs (solref, solimp), as MuJoCo's"
             why = springs if solver == "generalized" else "switched off"
-            found.append(Deviation(f"{name}.restitution", str(material.restitution), "0", why))
+            found.append(other_restitution(material, "0", why))
     return tuple(found)

@@ -6,6 +6,7 @@ import math
 import string
 from dataclasses import dataclass
 
+from gpusimbench.recorder.options import require
 from gpusimbench.recorder.simulators.calibration.faults import FAULTS
 
 REGIMES = ("identical", "offset", "order", "run-order", "atomics")
@@ -58,14 +59,11 @@ class CalibrationOptions:
             raise ValueError(f"regime is one of {', '.join(REGIMES)}, not '{self.regime}'")
         if self.device not in _DEVICES:
             raise ValueError(f"device is one of {', '.join(_DEVICES)}, not '{self.device}'")
-        if not (0 <= self.shift < math.inf):
-            raise ValueError(f"shift is a distance in metres from 0 on, not {self.shift}")
-        if not 0 <= self.ulps < 1 << 23:
-            raise ValueError(f"ulps is from 0 to 2^23 - 1, within a factor of two of the number, not {self.ulps}")
+        require(self, (lambda v: 0 <= v < math.inf, "a distance in metres from 0 on"), "shift")
+        require(self, (lambda v: 0 <= v < 1 << 23, "from 0 to 2^23 - 1, within a factor of two of the number"), "ulps")
         if self.shift and self.ulps:
             raise ValueError("shift and ulps are two ways to say how far: give one of them")
-        if self.at < 1:
-            raise ValueError(f"at is at least 1, since all environments begin alike, not {self.at}")
+        require(self, (lambda v: v >= 1, "at least 1, since all environments begin alike"), "at")
         if self.fault not in FAULTS:
             raise ValueError(f"fault is one of {', '.join(FAULTS)}, not '{self.fault}'")
         if self.fault != "none" and (self.regime != "identical" or not self.ulps):

@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
+from gpusimbench.recorder.scenes.emit.deviations import (
+    LARGER,
+    combination,
+    materials_and_robot,
+    one_friction,
+    other_restitution,
+    unlimited_speed,
+)
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.schemas.provenance import Deviation
@@ -11,37 +18,19 @@ from gpusimbench.schemas.provenance import Deviation
 
 def deviations(scene: Scene, options: GenesisOptions) -> tuple[Deviation, ...]:
     """The parameters that Genesis honours otherwise than the scene gives them, or not at all."""
-    materials = {body.material.name: body.material for body in scene.bodies}
-    if scene.robot is not None:
-        materials[scene.robot.material.name] = scene.robot.material
     if isinstance(scene, ModelScene):
         return ()  # its contacts are compared with MuJoCo's, whose rule for a pair is the same
-    found = [
-        Deviation(
-            "contact.friction_combination",
-            "not given",
-            "the larger coefficient of the two",
-            "Genesis' rule for a pair of geoms",
-        )
-    ]
-    for name, material in materials.items():
-        found.append(
-            Deviation(
-                f"{name}.static_friction",
-                str(material.static_friction),
-                str(material.kinetic_friction),
-                "Genesis has one friction coefficient a geom; the kinetic one is used",
-            )
-        )
-        found.append(
-            Deviation(
-                f"{name}.restitution",
-                str(material.restitution),
+    found = [combination("friction", LARGER, "Genesis' rule for a pair of geoms")]
+    for material in materials_and_robot(scene):
+        found += [
+            one_friction(material, "Genesis has one friction coefficient a geom; the kinetic one is used"),
+            other_restitution(
+                material,
                 "0 (critically damped contacts)",
                 "Genesis' rigid contacts have no coefficient of restitution: they are damped springs of the time "
                 "constant constraint_timeconst",
-            )
-        )
+            ),
+        ]
     if scene.robot is not None:
         found.append(unlimited_speed(scene.robot, "Genesis' joints have no velocity limit"))
         if options.integrator != "Euler":

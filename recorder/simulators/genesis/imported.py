@@ -17,7 +17,6 @@ from mujoco import mjtDisableBit, mjtEq, mjtGeom, mjtJoint
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.genesis.controls import Controls
@@ -25,7 +24,7 @@ from gpusimbench.recorder.simulators.genesis.environments import Drive, Environm
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.genesis.sizes import Sizes
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, collides, compile_scene
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.mujoco.options import own_options
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.text import few
@@ -133,8 +132,7 @@ class ModelEnvironments(Environments):
 def compile_model(scene: ModelScene, *, dt: float) -> MjcfModel:
     """A model file as MuJoCo compiles it, with its own options. Refused where it has what Genesis is not given, such as
     an actuator."""
-    own = parse_options("mujoco", MjcfOptions, scene.options({}, names_of(MjcfOptions)))
-    compiled = compile_scene(scene, dt=dt, options=own)
+    compiled = compile_scene(scene, dt=dt, options=own_options(scene))
     _refuse(compiled.model, scene.file)
     Controls(compiled.model)
     return compiled

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gpusimbench.recorder.simulators.mujoco.options import CONES, one_of
+from gpusimbench.recorder.options import ABOVE_0, AT_LEAST_1, NOT_NEGATIVE, one_of, require
+from gpusimbench.recorder.simulators.mujoco.options import CONES
 
 DEVICES = ("auto", "cpu", "cuda")
 SOLVERS = ("Newton", "CG")
@@ -71,14 +72,12 @@ class GenesisOptions:
         one_of("cone", self.cone, CONES)
         one_of("contact_resolution", self.contact_resolution, RESOLUTIONS)
         one_of("broadphase", self.broadphase, BROADPHASES)
-        for name in ("substeps", "iterations", "ls_iterations", "broad_phase_multiplier"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is at least 1, not {getattr(self, name)}")
-        for name in ("noslip_iterations", "max_collision_pairs", "max_contacts"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is 0 or a positive number, not {getattr(self, name)}")
-        for name in ("tolerance", "impratio"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is 0 (the engine's default) or a positive number, not {getattr(self, name)}")
-        if not 0 < self.constraint_timeconst < math.inf:
-            raise ValueError(f"constraint_timeconst is a number above 0, not {self.constraint_timeconst}")
+        require(self, AT_LEAST_1, "substeps", "iterations", "ls_iterations", "broad_phase_multiplier")
+        require(self, NOT_NEGATIVE, "noslip_iterations", "max_collision_pairs", "max_contacts")
+        require(
+            self,
+            (lambda v: 0 <= v < math.inf, "0 (the engine's default) or a positive number"),
+            "tolerance",
+            "impratio",
+        )
+        require(self, ABOVE_0, "constraint_timeconst")

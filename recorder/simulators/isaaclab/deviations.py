@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.emit.deviations import (
+    LARGER,
+    combination,
+    materials,
+    one_friction,
+    other_restitution,
+    rest_offset,
+)
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.isaaclab.scene import BODY_LIMITS
@@ -25,21 +33,10 @@ def deviations(scene: Scene, options: IsaacLabOptions) -> tuple[Deviation, ...]:
 
 def _physx(options: IsaacLabOptions) -> tuple[Deviation, ...]:
     found = [
-        Deviation(
-            f"contact.{name}_combination",
-            "not given",
-            f"{how} of the two coefficients",
-            f"option '{name}_combine'",
-        )
+        combination(name, f"{how} of the two coefficients", f"option '{name}_combine'")
         for name, how in (("friction", options.friction_combine), ("restitution", options.restitution_combine))
     ]
-    found.append(patch_friction("its distances are PhysX's defaults"))
-    if options.rest_offset:
-        found.append(
-            Deviation(
-                "bodies.shape", "as given", f"a pair rests {2 * options.rest_offset:g} m apart", "option 'rest_offset'"
-            )
-        )
+    found += [patch_friction("its distances are PhysX's defaults"), *rest_offset(options.rest_offset)]
     found.append(
         Deviation(
             "angular_velocity.limit",
@@ -61,26 +58,14 @@ def _physx(options: IsaacLabOptions) -> tuple[Deviation, ...]:
 
 
 def _newton(scene: Scene) -> tuple[Deviation, ...]:
-    found = [
-        Deviation(
-            "contact.friction_combination", "not given", "the larger coefficient of the two", "rule of MuJoCo Warp"
-        )
-    ]
-    for name, material in {body.material.name: body.material for body in scene.bodies}.items():
-        found.append(
-            Deviation(
-                f"{name}.static_friction",
-                str(material.static_friction),
-                str(material.kinetic_friction),
-                "Newton has one friction coefficient a shape; Isaac Lab gives it the kinetic one",
-            )
-        )
-        found.append(
-            Deviation(
-                f"{name}.restitution",
-                str(material.restitution),
+    found = [combination("friction", LARGER, "rule of MuJoCo Warp")]
+    for material in materials(scene):
+        found += [
+            one_friction(material, "Newton has one friction coefficient a shape; Isaac Lab gives it the kinetic one"),
+            other_restitution(
+                material,
                 "none of its own",
                 "MuJoCo Warp has no coefficient of restitution: contacts are damped springs",
-            )
-        )
+            ),
+        ]
     return tuple(found)

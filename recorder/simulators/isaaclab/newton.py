@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.buffer_sizes import measure
@@ -18,7 +17,7 @@ from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, 
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions, own_options
 from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
@@ -207,8 +206,7 @@ def _buffer(name: str, given: int, counter: Counter, wanted: int, by: str) -> Bu
 
 def _compiled(scene: Scene, *, dt: float, options: IsaacLabOptions) -> MjcfModel:
     if isinstance(scene, ModelScene):
-        own = parse_options("mujoco", MjcfOptions, scene.options({"cone": options.cone}, names_of(MjcfOptions)))
-        return compile_scene(scene, dt=dt, options=own)
+        return compile_scene(scene, dt=dt, options=own_options(scene, {"cone": options.cone}))
     compiled = compile_scene(scene, dt=dt, options=MjcfOptions(cone=options.cone))
     compiled.model.geom_gap[:] = options.contact_offset - options.rest_offset  # as Newton reads them
     return compiled

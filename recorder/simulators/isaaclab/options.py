@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gpusimbench.recorder.simulators.mujoco.options import CONES, one_of
+from gpusimbench.recorder.options import AT_LEAST_1, FROM_0, NOT_NEGATIVE, one_of, require
+from gpusimbench.recorder.simulators.mujoco.options import CONES
 
 BACKENDS = ("ovphysx", "newton", "physx")
 COMBINATIONS = ("average", "min", "multiply", "max")
@@ -64,9 +65,7 @@ class IsaacLabOptions:
         one_of("cone", self.cone, CONES)
         one_of("friction_combine", self.friction_combine, COMBINATIONS)
         one_of("restitution_combine", self.restitution_combine, COMBINATIONS)
-        for name in ("spacing", "rest_offset", "bounce_threshold"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is a number from 0 on, not {getattr(self, name)}")
+        require(self, FROM_0, "spacing", "rest_offset", "bounce_threshold")
         if not self.rest_offset < self.contact_offset < math.inf:
             raise ValueError(
                 f"contact_offset is larger than rest_offset, which is {self.rest_offset}, not {self.contact_offset}"
@@ -74,12 +73,8 @@ class IsaacLabOptions:
         for name, least in (("position_iterations", 1), ("velocity_iterations", 0)):
             if not least <= getattr(self, name) <= 255:
                 raise ValueError(f"{name} is a number from {least} to 255, not {getattr(self, name)}")
-        for name in ("iterations", "ls_iterations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is at least 1, not {getattr(self, name)}")
-        for name in (*GPU_SIZES, "max_contacts", "max_rows"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is 0 or a positive number, not {getattr(self, name)}")
+        require(self, AT_LEAST_1, "iterations", "ls_iterations")
+        require(self, NOT_NEGATIVE, *GPU_SIZES, "max_contacts", "max_rows")
 
 
 GPU_SIZES = tuple(name for name in IsaacLabOptions.__dataclass_fields__ if name.startswith("gpu_"))

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.engine_log import EngineLog
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -161,16 +160,10 @@ class Physx:
 
 def measured(scene: Scene, *, dt: float, seed: int, options: IsaacLabOptions) -> Need:
     """Count on MuJoCo C, whose shapes see each other from as far as PhysX's."""
-    from gpusimbench.recorder.simulators.buffer_sizes import measure
-    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
-    from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+    from gpusimbench.recorder.simulators.buffer_sizes import measure_from_afar
 
-    own = parse_options("mujoco", MjcfOptions, scene.options({}, names_of(MjcfOptions)))
-    compiled = compile_scene(scene, dt=dt, options=own)
-    compiled.model.geom_gap[:] = options.contact_offset  # of each shape of a pair
-    bounded = compiled.model.geom_rbound > 0  # planes are not
-    compiled.model.geom_rbound[bounded] += options.contact_offset
-    return replace(measure(compiled, dt=dt, seed=seed), margin=_PAIRS_MARGIN)
+    need = measure_from_afar(scene, dt=dt, seed=seed, reach=options.contact_offset)
+    return replace(need, margin=_PAIRS_MARGIN)
 
 
 def _buffers(need: Need, n_env: int, defaults: Any, options: IsaacLabOptions) -> tuple[Buffer, ...]:

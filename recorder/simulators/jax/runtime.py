@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.recorder.simulators.mujoco.options import one_of
+from gpusimbench.recorder.options import one_of
 from gpusimbench.schemas.errors import UsageError
 
 DEVICES = ("auto", "cpu", "cuda")

@@ -17,6 +17,7 @@ from typing import Any
 
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.emit.deviations import combination, materials, other_restitution
 from gpusimbench.recorder.simulators.madrona.options import VARIABLE, MadronaOptions
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import Deviation
@@ -150,20 +151,13 @@ class SimulatorModule:
 
     def deviations(self, manager: Any, scene: Scene, settings: Mapping[str, Any]) -> tuple[Deviation, ...]:
         """What the module does not take from the scene: as its settings show, and as it says itself."""
-        found = [
-            Deviation("contact.friction_combination", "not given", str(settings["friction_combination"]), "as built")
-        ]
+        found = [combination("friction", str(settings["friction_combination"]), "as built")]
         restitution = settings["restitution"]
-        for name, material in {body.material.name: body.material for body in scene.bodies}.items():
-            if restitution not in (HONOURED, material.restitution):
-                found.append(
-                    Deviation(
-                        f"{name}.restitution",
-                        str(material.restitution),
-                        str(restitution),
-                        "the module has one for all contacts",
-                    )  # fmt: skip
-                )
+        found += [
+            other_restitution(material, str(restitution), "the module has one for all contacts")
+            for material in materials(scene)
+            if restitution not in (HONOURED, material.restitution)
+        ]
         for row in manager.deviations():
             try:
                 parameter, wanted, used, reason = (str(item) for item in row)

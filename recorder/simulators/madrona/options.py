@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 
+from gpusimbench.recorder.options import require
+
 VARIABLE = "GSB_MADRONA_MODULE"
 """Environment variable with the module's import name, for when the option `module` is not given."""
 
@@ -26,8 +28,7 @@ class MadronaOptions:
         kind, colon, index = self.device.partition(":")
         if self.device not in ("cpu", "cuda") and not (kind == "cuda" and colon and index.isdecimal()):
             raise ValueError(f"device is cpu, cuda or cuda:N, not '{self.device}'")
-        if self.num_substeps < 0:
-            raise ValueError(f"num_substeps is 0 (the module's own) or more, not {self.num_substeps}")
+        require(self, (lambda v: v >= 0, "0 (the module's own) or more"), "num_substeps")
 
     @property
     def gpu(self) -> int | None:

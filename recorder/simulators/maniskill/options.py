@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gpusimbench.recorder.simulators.mujoco.options import one_of
+from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
@@ -21,7 +22,6 @@ from gpusimbench.recorder.simulators.mujoco.options import (
     CONES,
     STATE_COMPONENTS,
     MjcfOptions,
-    one_of,
     replacement,
 )
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit

@@ -14,12 +14,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Simulator, States
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.mujoco.options import own_options
 from gpusimbench.schemas.imported import Drop
 
 AFTER_S = 0.5
@@ -37,8 +36,7 @@ def dropped(scene: ModelScene, make: Callable[[Scene, int], Simulator], *, dt: f
     make  a simulator that was not built yet, of a scene and a number of environments
     """
     still = replace(scene, actions=None, controls="none")
-    known = {name: value for name, value in still.solver.items() if name in names_of(MjcfOptions)}
-    compiled = compile_scene(still, dt=dt, options=parse_options("mujoco", MjcfOptions, known))
+    compiled = compile_scene(still, dt=dt, options=own_options(still))
     n_step = _steps(compiled, dt)
     if not n_step:
         return None

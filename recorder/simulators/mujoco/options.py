@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from types import MappingProxyType
 
-from gpusimbench.schemas.commands.suggestion import did_you_mean
+from gpusimbench.recorder.options import ABOVE_0, AT_LEAST_1, FROM_0, names_of, one_of, parse_options, require
+from gpusimbench.recorder.scenes.base import Scene
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")
 CONES = ("elliptic", "pyramidal")
@@ -62,13 +64,9 @@ class MjcfOptions:
     def __post_init__(self) -> None:
         for name, allowed in (("integrator", INTEGRATORS), ("cone", CONES), ("solver", SOLVERS)):
             one_of(name, getattr(self, name), allowed)
-        for name in ("iterations", "ls_iterations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is at least 1, not {getattr(self, name)}")
-        if not 0 <= self.tolerance < math.inf:
-            raise ValueError(f"tolerance is a number from 0 on, not {self.tolerance}")
-        if not 0 < self.impratio < math.inf:
-            raise ValueError(f"impratio is a number above 0, not {self.impratio}")
+        require(self, AT_LEAST_1, "iterations", "ls_iterations")
+        require(self, FROM_0, "tolerance")
+        require(self, ABOVE_0, "impratio")
         if self.condim not in _CONDIMS:
             raise ValueError(f"condim is one of {', '.join(map(str, _CONDIMS))}, not {self.condim}")
         solref = self._numbers("solref", 2)
@@ -92,11 +90,10 @@ class MjcfOptions:
         return values
 
 
-def one_of(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
-    """ValueError where an option has none of the values that it may have."""
-    if value not in allowed:
-        known = list(map(str, allowed))
-        raise ValueError(f"{name} is one of {', '.join(known)}, not '{value}'{did_you_mean(str(value), known)}")
+def own_options(scene: Scene, given: Mapping[str, str] = MappingProxyType({})) -> MjcfOptions:
+    """Those with which another engine's model is compiled: the given ones, and what a model file says itself."""
+    options: MjcfOptions = parse_options("mujoco", MjcfOptions, scene.options(given, names_of(MjcfOptions)))
+    return options
 
 
 def replacement(refusal: str) -> str:

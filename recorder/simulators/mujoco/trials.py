@@ -16,12 +16,11 @@ import numpy as np
 from mujoco import mjtJoint
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.mujoco.options import own_options
 
 N_POSE = 16
 """Poses that are drawn."""
@@ -68,9 +67,7 @@ def plan(scene: ModelScene, *, dt: float, seed: int) -> Plan:
     rest; then each degree of freedom has a speed of KICK; then each actuator has a control, half-way between the middle
     and the upper end of its range, or 1. All other speeds and controls are 0.
     """
-    known = {name: value for name, value in scene.solver.items() if name in names_of(MjcfOptions)}
-    options = parse_options("mujoco", MjcfOptions, known)
-    compiled = compile_scene(scene, dt=dt, options=options)
+    compiled = compile_scene(scene, dt=dt, options=own_options(scene))
     model = compiled.model
     held = of_c(model).names
     drawn = _drawn(model, held["joints"], seed)

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.emit.deviations import (
+    LARGER,
+    MEAN,
+    combination,
+    materials,
+    one_friction,
+    other_restitution,
+)
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 from gpusimbench.schemas.provenance import Deviation
 
 _ONE_FRICTION = "Newton has one friction coefficient a shape; the kinetic one is used"
 
 _FRICTION_OF_A_PAIR = {
-    "mujoco": "the larger coefficient of the two",
-    "xpbd": "the mean of the two coefficients",
-    "steel": "the mean of the two coefficients",
-    "semi-implicit": "the mean of the two coefficients",
-    "featherstone": "the mean of the two coefficients",
+    "mujoco": LARGER,
+    "xpbd": MEAN,
+    "steel": MEAN,
+    "semi-implicit": MEAN,
+    "featherstone": MEAN,
     "vbd": "the geometric mean of the two coefficients",
-    "kamino": "the mean of the two coefficients",
+    "kamino": MEAN,
 }
 
 _NO_RESTITUTION = {
@@ -36,20 +44,12 @@ _STICTION = {
 def deviations(scene: Scene, options: NewtonOptions) -> tuple[Deviation, ...]:
     """The parameters that the chosen solver honours otherwise than the scene gives them, or not at all."""
     solver = options.solver
-    found = [
-        Deviation("contact.friction_combination", "not given", _FRICTION_OF_A_PAIR[solver], f"rule of {solver}"),
-    ]
-    for name, material in {body.material.name: body.material for body in scene.bodies}.items():
-        found.append(
-            Deviation(
-                f"{name}.static_friction",
-                str(material.static_friction),
-                str(material.kinetic_friction),
-                f"{_ONE_FRICTION}; {_STICTION[solver]}" if solver in _STICTION else _ONE_FRICTION,
-            )
-        )
-        used, why = _restitution(solver, options.rebounds, material.restitution)
-        found.append(Deviation(f"{name}.restitution", str(material.restitution), used, why))
+    found = [combination("friction", _FRICTION_OF_A_PAIR[solver], f"rule of {solver}")]
+    for material in materials(scene):
+        found += [
+            one_friction(material, f"{_ONE_FRICTION}; {_STICTION[solver]}" if solver in _STICTION else _ONE_FRICTION),
+            other_restitution(material, *_restitution(solver, options.rebounds, material.restitution)),
+        ]
     return tuple(found)
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from gpusimbench.recorder.simulators.mujoco.options import CONES, one_of
+from gpusimbench.recorder.options import AT_LEAST_1, FROM_0, NOT_NEGATIVE, one_of, require
+from gpusimbench.recorder.simulators.mujoco.options import CONES
 
 MUJOCO_SOLVERS = ("Newton", "CG")
 
@@ -66,14 +66,9 @@ class NewtonOptions:
         one_of("cone", self.cone, CONES)
         one_of("mujoco_solver", self.mujoco_solver, MUJOCO_SOLVERS)
         one_of("restitution", self.restitution, ("default", "on", "off"))
-        if self.substeps < 1:
-            raise ValueError(f"substeps is at least 1, not {self.substeps}")
-        for name in ("iterations", "max_contacts", "max_rows"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is 0 or a positive number, not {getattr(self, name)}")
-        for name in ("gap", "ke", "kd", "kf"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is a number from 0 on, not {getattr(self, name)}")
+        require(self, AT_LEAST_1, "substeps")
+        require(self, NOT_NEGATIVE, "iterations", "max_contacts", "max_rows")
+        require(self, FROM_0, "gap", "ke", "kd", "kf")
 
     @property
     def rebounds(self) -> bool:

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
-from gpusimbench.recorder.options import names_of, parse_options
+from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.captured import Captured
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions, replacement
+from gpusimbench.recorder.simulators.mujoco.options import own_options, replacement
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, MUJOCO_SOLVERS, NewtonOptions
 from gpusimbench.recorder.simulators.newton.steps import BLOCK, Steps
 from gpusimbench.recorder.simulators.slots import Slot, Slots
@@ -107,7 +107,7 @@ class Newton(Slotted):
 
         self._mode = wp.DeterministicMode[warp_runtime.MODES[level]]
         files = isinstance(self.scene, ModelScene)
-        physics: MjcfOptions = parse_options("mujoco", MjcfOptions, self.scene.options({}, names_of(MjcfOptions)))
+        physics = own_options(self.scene)
         if not files or options.solver == "mujoco":
             physics = replace(physics, cone=options.cone)
         compiled = compile_scene(self.scene, dt=self.dt, options=physics)

@@ -15,7 +15,6 @@ _NOT_FATAL = ("ITERATIONS", "LS_ITERATIONS")  # nothing is dropped
 _CONTACT_PIPELINE, _SOLVER_NCONMAX = 16, 17  # as in newton.solvers.SolverMuJoCo.OverflowBits
 _CONTACT_BUFFER, _SOLVER_BUFFER = 0, 1  # of the other solvers, which have no bits of their own
 
-Gather = Callable[[Any], None]
 Count = Callable[[Any, Any], None]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
+from gpusimbench.recorder.scenes.emit.deviations import combination, rest_offset, unlimited_speed
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.physx.options import NO_THRESHOLD, PhysxOptions
 from gpusimbench.schemas.provenance import Deviation
@@ -38,12 +38,7 @@ def deviations(scene: Scene, options: PhysxOptions) -> tuple[Deviation, ...]:
         []
         if model
         else [
-            Deviation(
-                f"contact.{name}_combination",
-                "not given",
-                f"of a pair {_RULES[mode]}, for {what}",
-                f"option '{name}_combine'",
-            )
+            combination(name, f"of a pair {_RULES[mode]}, for {what}", f"option '{name}_combine'")
             for name, mode, what in (
                 ("friction", options.friction_combine, "static and kinetic friction"),
                 ("restitution", options.restitution_combine, "restitution"),
@@ -69,12 +64,7 @@ def deviations(scene: Scene, options: PhysxOptions) -> tuple[Deviation, ...]:
                 "option 'max_angular_velocity'",
             )
         )
-    if options.rest_offset:
-        found.append(
-            Deviation(
-                "bodies.shape", "as given", f"a pair rests {2 * options.rest_offset:g} m apart", "option 'rest_offset'"
-            )
-        )
+    found += rest_offset(options.rest_offset)
     if scene.robot is not None:
         found.append(unlimited_speed(scene.robot, "no simulator does, so that all compare"))
     return tuple(found)

@@ -9,13 +9,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Vector
 from gpusimbench.recorder.scenes.emit.usd import Apis
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import compile_scene
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.mujoco.options import own_options
 from gpusimbench.recorder.simulators.physx.articulations import Articulations
 from gpusimbench.recorder.simulators.physx.made import Held, Source, deviations_of_model, held, imported_of
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
@@ -40,8 +39,7 @@ class Model:
 
     def __init__(self, scene: ModelScene, *, dt: float) -> None:
         """Refused as of trees.plan and servos.Driven."""
-        own = parse_options("mujoco", MjcfOptions, scene.options({}, names_of(MjcfOptions)))
-        self.compiled = compile_scene(scene, dt=dt, options=own)
+        self.compiled = compile_scene(scene, dt=dt, options=own_options(scene))
         self.plan = plan(self.compiled.model, scene.file)
         self._file = scene.file
         self.driven = Driven(self.compiled.model, "PhysX", "other engines take such models", springs=self.springs)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
+from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.scenes.emit.usd import Apis, Value
-from gpusimbench.recorder.simulators.mujoco.options import one_of
 
 SOLVERS = ("TGS", "PGS")
 COMBINE_MODES = ("average", "min", "max", "multiply")

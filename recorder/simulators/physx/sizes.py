@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Plane, Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.physx.options import LARGEST, PhysxOptions
@@ -72,16 +71,9 @@ def measure(scene: Scene, *, dt: float, seed: int, options: PhysxOptions) -> Nee
     """Count on MuJoCo C, whose shapes see each other from as far as PhysX's; without it, by the number of shapes."""
     if find_spec("mujoco") is None:
         return _by_shapes(scene)
-    from gpusimbench.recorder.simulators import buffer_sizes
-    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
-    from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+    from gpusimbench.recorder.simulators.buffer_sizes import measure_from_afar
 
-    own = parse_options("mujoco", MjcfOptions, scene.options({}, names_of(MjcfOptions)))
-    compiled = compile_scene(scene, dt=dt, options=own)
-    compiled.model.geom_gap[:] = options.contact_offset
-    bounded = compiled.model.geom_rbound > 0  # planes are not
-    compiled.model.geom_rbound[bounded] += options.contact_offset
-    need = buffer_sizes.measure(compiled, dt=dt, seed=seed)
+    need = measure_from_afar(scene, dt=dt, seed=seed, reach=options.contact_offset)
     return Need(need.contacts, need.pairs, f"needed by {need.envs} envs of MuJoCo C in {need.steps} steps")
 
 

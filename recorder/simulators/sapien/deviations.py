@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.emit.deviations import MEAN, combination
 from gpusimbench.recorder.simulators.physx.deviations import patch_friction
 from gpusimbench.recorder.simulators.sapien.arm import arm_deviations
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
@@ -14,19 +15,10 @@ def deviations(scene: Scene, options: SapienOptions) -> tuple[Deviation, ...]:
 
     Static friction, kinetic friction and restitution of each surface are the scene's.
     """
+    rule = "PhysX's default rule for a pair of materials"
     found = [
-        Deviation(
-            "contact.friction_combination",
-            "not given",
-            "the mean of the two coefficients, static and kinetic each",
-            "PhysX's default rule for a pair of materials",
-        ),
-        Deviation(
-            "contact.restitution_combination",
-            "not given",
-            "the mean of the two coefficients",
-            "PhysX's default rule for a pair of materials",
-        ),
+        combination("friction", f"{MEAN}, static and kinetic each", rule),
+        combination("restitution", MEAN, rule),
     ]
     if scene.robot is not None:
         found += arm_deviations(scene.robot)

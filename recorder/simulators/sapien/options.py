@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from gpusimbench.recorder.simulators.mujoco.options import one_of
+from gpusimbench.recorder.options import ABOVE_0, FROM_0, NOT_NEGATIVE, one_of, require
 
 BUFFERS = (
     "max_rigid_contact_count", "max_rigid_patch_count", "found_lost_pairs_capacity", "collision_stack_size",
@@ -80,17 +80,11 @@ class SapienOptions:
             raise ValueError(
                 f"solver_velocity_iterations is from 0 to {_MOST_ITERATIONS}, not {self.solver_velocity_iterations}"
             )
-        for name in ("bounce_threshold", "contact_offset", "spacing", "max_angular_velocity"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is a number above 0, not {getattr(self, name)}")
-        for name in ("sleep_threshold", "angular_damping"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is a number from 0 on, not {getattr(self, name)}")
+        require(self, ABOVE_0, "bounce_threshold", "contact_offset", "spacing", "max_angular_velocity")
+        require(self, FROM_0, "sleep_threshold", "angular_damping")
         if not -math.inf < self.rest_offset < self.contact_offset:
             raise ValueError(f"rest_offset is below contact_offset, {self.contact_offset}, not {self.rest_offset}")
-        for name in ("cpu_workers", *BUFFERS):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is 0 or a positive number, not {getattr(self, name)}")
+        require(self, NOT_NEGATIVE, "cpu_workers", *BUFFERS)
 
     def _check_device(self) -> None:
         one_of("device", self.device, ("cpu", "cuda"))

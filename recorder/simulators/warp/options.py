@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gpusimbench.recorder.options import MEASURED, require
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
 LEVELS = {
@@ -48,6 +49,4 @@ class WarpOptions(MjcfOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("nconmax", "njmax"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is 0 (measured) or a positive number, not {getattr(self, name)}")
+        require(self, MEASURED, "nconmax", "njmax")

@@ -7,13 +7,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, verified, write_json
-from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, verified
+from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser, say
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, GsbError, NotARecording, UsageError
 from gpusimbench.schemas.location import Place, place
-from gpusimbench.schemas.text import line, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.read.recording import Recording
@@ -108,7 +107,6 @@ def parser() -> Parser:
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Replay, compare and print; returns the exit code."""
     from gpusimbench.evaluator.episodes.success import At
-    from gpusimbench.evaluator.render.terminal import print_document
     from gpusimbench.evaluator.replays.comparison import compare, successes_of
     from gpusimbench.evaluator.replays.document import dump_json, replay_document
     from gpusimbench.recorder.demonstrations.formats import data_set_at
@@ -134,10 +132,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     (replay,) = verified([made])
     with stage("comparing episodes"):
         found = compare(original, replay, success=success, at=At(arguments.success_at), tolerance=arguments.tolerance)
-    if arguments.json:
-        write_json(arguments.json, dump_json(found))
-    if arguments.json != "-":
-        print_document(replay_document(found, every=arguments.all), sys.stdout)
+    answer(arguments.json, lambda: dump_json(found), lambda: replay_document(found, every=arguments.all))
     return int(_exit_code(found, arguments.require))
 
 
@@ -162,12 +157,12 @@ def _replayed(original: Recording, arguments: argparse.Namespace, success: str |
     path = _target(original, arguments.out)
     parts, n_env = parts_of(original), original.configuration.n_env
     if arguments.make:
-        _say(f"replaying in what {arguments.make} makes")
+        say(f"replaying in what {arguments.make} makes")
         envs = of_factory(arguments.make, n_env)
     else:
         origin = origin_of(original, arguments.env, given(arguments.keywords))
         words = ", ".join(f"{name}={value!r}" for name, value in origin.keywords.items())
-        _say(f"replaying in {n_env} environments {origin.spec_id}({words})")
+        say(f"replaying in {n_env} environments {origin.spec_id}({words})")
         envs = registered(origin.spec_id, origin.keywords, n_env, vectorization=origin.vectorization)
     how = {"seed": seed_of(original), "infos": infos_of(original), "dt": original.configuration.dt}
     how["images"] = original.configuration.options.get("images", "numbers")
@@ -207,13 +202,7 @@ def _exit_code(found: Compared, required: str) -> ExitCode:
     return ExitCode.OK if met else ExitCode.GATE_FAILED
 
 
-def _say(said: str) -> None:
-    show(line(said), error=True)
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Entry point of gsb-replay."""
-    return enter(parser(), run, argv)
+main = entry_point(parser, run)
 
 
 if __name__ == "__main__":

@@ -46,17 +46,14 @@ def joints_of(recording: Recording) -> tuple[Array, Array, Array] | Missing:
 def bodies_of(recording: Recording) -> tuple[Walk, States, Array] | Missing:
     """Names, states and time [row] since the first, of moving bodies in environments that are looked at."""
     walk = Walk(recording, _drawn(recording))
-    if not walk.groups:
-        return Missing("no positions in three dimensions were recorded")
-    if len(walk) < 2:
-        return _FEW
-    if len(walk) * _count(recording) * len(walk.items) > _MOST_NUMBERS:
+    if len(walk) > 1 and len(walk) * _count(recording) * len(walk.items) > _MOST_NUMBERS:
         return _MANY
-    states = walk.rows(0, len(walk))
-    parts = (states.position, states.orientation, states.linear, states.angular)
-    if not finite(*(part for part in parts if part is not None)):
-        return _NOT_FINITE
-    return walk, states, (states.step - states.step[0]) * recording.configuration.dt
+    states = _states(walk, 0)
+    return (
+        states
+        if isinstance(states, Missing)
+        else (walk, states, (states.step - states.step[0]) * recording.configuration.dt)
+    )
 
 
 def ending_of(recording: Recording) -> tuple[Walk, States] | Missing:
@@ -64,13 +61,18 @@ def ending_of(recording: Recording) -> tuple[Walk, States] | Missing:
     walk = Walk(recording, ((0, recording.configuration.n_env - 1),))
     if recording.configuration.n_env * len(walk.items) > _MOST_NUMBERS:
         walk = Walk(recording, _drawn(recording))
+    states = _states(walk, len(walk) - 1)
+    return states if isinstance(states, Missing) else (walk, states)
+
+
+def _states(walk: Walk, first: int) -> States | Missing:
     if not walk.groups:
         return Missing("no positions in three dimensions were recorded")
     if len(walk) < 2:
         return _FEW
-    states = walk.rows(len(walk) - 1, len(walk))
+    states = walk.rows(first, len(walk))
     parts = (states.position, states.orientation, states.linear, states.angular)
-    return (walk, states) if finite(*(part for part in parts if part is not None)) else _NOT_FINITE
+    return states if finite(*(part for part in parts if part is not None)) else _NOT_FINITE
 
 
 def finite(*arrays: Array) -> bool:

@@ -15,9 +15,9 @@ from urllib.parse import unquote
 
 from gpusimbench.schemas.errors import DamagedRecording, Unreachable
 from gpusimbench.schemas.location import Location, chain, is_address, redacted
-from gpusimbench.schemas.patience import Patience, TooSlow
+from gpusimbench.schemas.remote.patience import Patience, TooSlow
+from gpusimbench.schemas.remote.web import WrongAnswer, web_options, web_part
 from gpusimbench.schemas.source import Source
-from gpusimbench.schemas.web import WrongAnswer, web_options, web_part
 
 _BLOCK = 64 << 10
 _CACHED_BYTES = 32 << 20
