@@ -17,12 +17,11 @@ from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.fields import GIVEN, field_of, recorded_dtype
 from gpusimbench.recorder.vector.infos import array_name
 from gpusimbench.recorder.vector.modes import Mode
-from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID
+from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID, VECTORIZED
 from gpusimbench.schemas.errors import DamagedRecording, Unreachable
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.vector import DATA_SET, FINAL_GIVEN, NOT_GIVEN, PHYSICS, SEEDS
 
-_AT_ONCE = 16  # environments, over which episodes are dealt
 _ROWS = 50
 _BLOCK = 1 << 20  # bytes that are read at a time
 _FLAGS = ("terminated", "truncated", "stepped", "episode", "episode_step", FINAL_GIVEN)
@@ -40,7 +39,7 @@ def write(
     keywords: Mapping[str, Any] | None,
     dt: float,
 ) -> None:
-    """Write a recording in which 16 environments at most go through the episodes, dealt in their order.
+    """Write a recording in which a few environments go through the episodes, dealt in their order.
 
     path      of the recording
     source    the data set, of whose files the recording has the SHA-256, one after another
@@ -49,7 +48,7 @@ def write(
 
     UsageError where the recording exists. DamagedRecording where episodes have different arrays.
     """
-    n_env = min(_AT_ONCE, len(demonstrations))
+    n_env = min(source.at_once, len(demonstrations))
     dealt = [list(demonstrations[env::n_env]) for env in range(n_env)]
     columns = _columns(dealt, source.path)
     rewarded = all(one.rewarded for one in demonstrations)
@@ -87,6 +86,7 @@ def write(
             **({} if keywords is None else {KEYWORDS: json.dumps(keywords, sort_keys=True)}),
             "seeds": "not given", "source": source.path.name or source.name, "source_sha256": digest.hexdigest(),
             **({} if rewarded else {NOT_GIVEN: "reward"}),
+            **({VECTORIZED: source.made.vectorization} if source.made.vectorization != "sync" else {}),
         },
     ) as log:  # fmt: skip
         for begin in range(0, steps + 1, _ROWS):

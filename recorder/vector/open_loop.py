@@ -15,6 +15,7 @@ from gpusimbench.recorder.vector.fields import field_of
 from gpusimbench.recorder.vector.infos import given
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.recorder.vector.part import ACTION, Part, State
+from gpusimbench.recorder.vector.physics import NAMES
 from gpusimbench.recorder.vector.starts import begin_at
 from gpusimbench.recorder.vector.wrap import wrap
 from gpusimbench.schemas.errors import UsageError
@@ -73,7 +74,7 @@ def replay(
     seed   of the first reset: a number, one for each environment, or None
     infos  as of wrap
     needed  an info that some environment gives in its first step; an empty one: none is needed
-    dt, images  as of wrap; physics is recorded where parts begin in states
+    dt, images  as of wrap; physics is recorded where parts begin in states of MuJoCo
 
     An environment whose episode ends earlier than its actions goes on with its next episode. With the autoreset mode
     Disabled, one whose episode has not ended after its last action is reset; in other modes it is fed the last action
@@ -90,7 +91,7 @@ def replay(
     spare = next(of_env[0] for of_env in parts if of_env)
     for place in places:
         place.last = {name: array[0] for name, array in spare.actions.items()}
-    physics = any(part.state is not None for of_env in parts for part in of_env)
+    physics = any(part.state is not None and set(NAMES) <= set(part.state) for of_env in parts for part in of_env)
     with wrap(envs, path, steps=steps, dt=dt, infos=infos, physics=physics, images=images) as recorded:
         form = _Form(recorded.action_space)
         form.check(part for of_env in parts for part in of_env)

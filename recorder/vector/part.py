@@ -13,7 +13,8 @@ ACTION = "action"
 """Of the arrays of actions, the beginning of the name."""
 
 State = Mapping[str, NDArray[np.floating]]
-"""MuJoCo's "qpos" and "qvel", in the units of the model."""
+"""MuJoCo's "qpos" and "qvel", in the units of the model; of ManiSkill, the arrays of its state by their names in a
+recording."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Part:
 
     actions  by the name of the array in a recording, [step, ...], in the dtype that the environment was given
     seed     of the reset that begins it; None: the environment goes on with its random numbers
-    state    MuJoCo's qpos and qvel with which it begins, by name; None: the reset decides
+    state    with which it begins; None: the reset decides
     """
 
     actions: Mapping[str, NDArray[Any]]

@@ -1,4 +1,4 @@
-"""Gymnasium's MuJoCo tasks, begun in a given state of the physics instead of that which reset draws."""
+"""Tasks that begin in a given state instead of that which reset draws: Gymnasium's MuJoCo tasks; see also maniskill."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ class Started(gymnasium.Wrapper):  # type: ignore[misc]
         """See Env.reset. UsageError where the task cannot be brought into the state."""
         observation, info = self.env.reset(seed=seed, options=options)
         state, self.start = self.start, None
-        if state is None:
-            return observation, info
+        return (observation if state is None else self.begun(state)), info
+
+    def begun(self, state: State) -> Any:
+        """Bring the task into a state; returns its observation. UsageError as of reset."""
         task = self.unwrapped
         if not all(callable(getattr(task, name, None)) for name in ("set_state", "_get_obs")):
             raise UsageError(
@@ -34,7 +36,7 @@ class Started(gymnasium.Wrapper):  # type: ignore[misc]
                 f"the recorded {odd[0]} has {state[odd[0]].size} numbers, and the task {shapes[odd[0]][0]}"
             )
         task.set_state(np.asarray(state["qpos"], np.float64), np.asarray(state["qvel"], np.float64))
-        return task._get_obs(), info
+        return task._get_obs()
 
 
 def begin_at(envs: Any, starts: Mapping[int, State]) -> None:
@@ -46,6 +48,6 @@ def begin_at(envs: Any, starts: Mapping[int, State]) -> None:
     for env, state in starts.items():
         if env >= len(tasks) or not isinstance(tasks[env], Started):
             raise UsageError(
-                "episodes begin in a recorded state only in tasks that --env names, of MuJoCo in Gymnasium"
+                "episodes begin in a recorded state only in tasks that --env names: MuJoCo's in Gymnasium, ManiSkill's"
             )
         tasks[env].start = state

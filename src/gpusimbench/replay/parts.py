@@ -13,13 +13,15 @@ from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.fields import GIVEN, field_of
 from gpusimbench.recorder.vector.infos import array_name
+from gpusimbench.recorder.vector.origin import STATED, VECTORIZED
 from gpusimbench.recorder.vector.part import ACTION, Part, State
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
 from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.vector import PHYSICS, SEEDS
 
 _FROM = re.compile(r"recorded from (bool|u?int(?:8|16|32|64)|float16)\b")
-_INFO = "info_"
+_INFO, _OBSERVATION = "info_", "observation"
+_PHYSICS = (f"{PHYSICS}qpos", f"{PHYSICS}qvel")
 
 
 def seed_of(recording: Recording) -> Any:
@@ -89,12 +91,16 @@ def _seeds(recording: Recording) -> dict[tuple[int, int], int]:
 
 
 def _states(recording: Recording) -> dict[tuple[int, int], State]:
-    """MuJoCo's state at the first observation of each episode, where the recording has it."""
-    names = {field.field for field in recording.fields if field.group == ENV}
-    if not {f"{PHYSICS}qpos", f"{PHYSICS}qvel"} <= names:
-        return {}
+    """The state at the first observation of each episode, where the recording has it."""
+    of_envs = [field.field for field in recording.fields if field.group == ENV]
+    if recording.configuration.options.get(VECTORIZED) == STATED:
+        names = [name for name in of_envs if name.startswith(_OBSERVATION)]
+    else:
+        names = [name for name in _PHYSICS if name in of_envs]
+        if len(names) < len(_PHYSICS):
+            return {}
     table = episode_table(recording)
-    rows = rows_of(recording, (f"{PHYSICS}qpos", f"{PHYSICS}qvel"), table.env, table.first_row)
+    rows = rows_of(recording, names, table.env, table.first_row)
     return {
         (int(env), int(number)): {name.removeprefix(PHYSICS): array[i] for name, array in rows.items()}
         for i, (env, number) in enumerate(zip(table.env, table.number, strict=True))
