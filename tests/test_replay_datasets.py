@@ -235,7 +235,9 @@ def test_what_to_give(tmp_path: Path) -> None:
     """Name the formats where a file is of none, and of the options that name a task the one that data sets take."""
     np.savez(tmp_path / "demos.npz", actions=np.ones(3))
     other = call("gsb-replay", "demos.npz", code=3, cwd=tmp_path).stderr
-    assert "demos.npz is not an MCAP file; gsb-replay takes a recording (.mcap) of gpusimbench.wrap, file of D4RL" in other
+    assert (
+        "demos.npz is not an MCAP file; gsb-replay takes a recording (.mcap) of gpusimbench.wrap, file of D4RL" in other
+    )
     with h5py.File(tmp_path / "demos.hdf5", "w") as file:
         file["rewards"] = np.ones(4)
     unnamed = call("gsb-replay", "demos.hdf5", code=2, cwd=tmp_path).stderr

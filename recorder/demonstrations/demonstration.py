@@ -25,7 +25,8 @@ class Demonstration:
     seed          of the reset that began it; None where the data set has none
     physics       MuJoCo's "qpos" and "qvel" at each action, [T, ...]; empty where the data set has none
     rewarded      whether the data set has rewards; zeros stand for them where it has not
-    infos         what the info of each step said, by name, [T]
+    infos         what the info of each step said, by name, [T]; NaN where it said nothing
+    model         MJCF of the model in which it was made; None where the task alone decides
     """
 
     observations: Arrays
@@ -37,6 +38,7 @@ class Demonstration:
     physics: Arrays
     rewarded: bool = True
     infos: Arrays = field(default_factory=dict)
+    model: str | None = None
 
     def __len__(self) -> int:
         return len(self.rewards)

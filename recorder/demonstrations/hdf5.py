@@ -124,8 +124,9 @@ def _of_flat(path: Path, file: Any) -> Iterator[Demonstration]:
     if "rewards" not in file and (groups := [name for name in file if is_group(file, name)]):
         raise DamagedRecording(
             f"{path} is in a layout that is not read: it has {few(groups, _NAMED)} in place of D4RL's arrays and "
-            "Minari's episodes. robomimic, robosuite and LIBERO write such files. Write the arrays of D4RL "
-            "(rewards, observations, actions, terminals, timeouts, infos/qpos, infos/qvel) from them"
+            "Minari's episodes. Files of robosuite and robomimic are read if they name their environment (env_args or "
+            "env_info). Write the arrays of D4RL (rewards, observations, actions, terminals, timeouts, infos/qpos, "
+            "infos/qvel) from them"
         )
     rewards = read_array(path, file, "rewards").reshape(-1)
     n = len(rewards)

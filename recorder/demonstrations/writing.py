@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,7 @@ from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID, VECTORIZED
 from gpusimbench.schemas.errors import DamagedRecording, Unreachable
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
-from gpusimbench.schemas.vector import DATA_SET, FINAL_GIVEN, NOT_GIVEN, PHYSICS, SEEDS
+from gpusimbench.schemas.vector import DATA_SET, FINAL_GIVEN, MODELS, NOT_GIVEN, PHYSICS, SEEDS
 
 _ROWS = 50
 _BLOCK = 1 << 20  # bytes that are read at a time
@@ -70,6 +71,11 @@ def write(
     if any(one.seed is not None for one in demonstrations):
         seeds = [[one.seed for one in of_env] for of_env in dealt]
         attached[SEEDS] = ("application/json", json.dumps(seeds).encode())
+    if any(one.model is not None for one in demonstrations):
+        numbers = {text: i for i, text in enumerate(dict.fromkeys(one.model for one in demonstrations if one.model))}
+        of_episodes = [[numbers.get(one.model or "") for one in of_env] for of_env in dealt]
+        told = json.dumps({"models": list(numbers), "episodes": of_episodes})
+        attached[MODELS] = ("application/gzip", gzip.compress(told.encode(), mtime=0))
     digest = hashlib.sha256()
     for one in source.files:
         try:
@@ -135,8 +141,10 @@ def _put(columns: Columns, env: int, at: int, number: int, one: Demonstration, s
     given |= {f"{PHYSICS}{name}": (before, array) for name, array in one.physics.items()}
     given["reward"] = (after, one.rewards)
     for name, array in one.infos.items():
-        given[array_name(name)] = (after, array.astype(np.float64))
-        given[f"{array_name(name)}{GIVEN}"] = (after, np.ones(n, bool))
+        values = array.astype(np.float64)
+        told = ~np.isnan(values)
+        given[array_name(name)] = (after, np.where(told, values, 0.0))
+        given[f"{array_name(name)}{GIVEN}"] = (after, told)
     for name, (rows, array) in given.items():
         column = columns.get(name)
         if column is None or column.shape[2:] != array.shape[1:] or column.dtype != array.dtype:

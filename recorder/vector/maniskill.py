@@ -62,8 +62,8 @@ class Stated(Started):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """See Env.reset. UsageError where the task cannot be brought into the state."""
         self.env.reset(seed=seed, options=options)
-        state, self.start = self.start, None
-        return (self._state() if state is None else self.begun(state)), {}
+        start, self.start = self.start, None
+        return (self._state() if start is None or start.state is None else self.begun(start.state)), {}
 
     def step(self, action: Any) -> Any:
         """See Env.step."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.vector.fields import field_of
 from gpusimbench.recorder.vector.infos import given
 from gpusimbench.recorder.vector.modes import Mode, mode_of
-from gpusimbench.recorder.vector.part import ACTION, Part, State
+from gpusimbench.recorder.vector.part import ACTION, Part
 from gpusimbench.recorder.vector.physics import NAMES
 from gpusimbench.recorder.vector.starts import begin_at
 from gpusimbench.recorder.vector.wrap import wrap
@@ -123,13 +123,13 @@ def _reset(envs: Any, places: Sequence[_Place]) -> None:
     for place in (place for place, over in zip(places, mask, strict=True) if over):
         place.begin()
     seeds = [place.next.seed if over and place.next else None for place, over in zip(places, mask, strict=True)]
-    begin_at(envs, {env: state for env, state in _starts(places).items() if mask[env]})
+    begin_at(envs, {env: part for env, part in _starts(places).items() if mask[env]})
     seeded = any(seed is not None for seed in seeds)
     envs.reset(options={"reset_mask": mask}, **({"seed": seeds} if seeded else {}))
 
 
-def _starts(places: Sequence[_Place]) -> dict[int, State]:
-    return {env: place.next.state for env, place in enumerate(places) if place.next and place.next.state is not None}
+def _starts(places: Sequence[_Place]) -> dict[int, Part]:
+    return {env: place.next for env, place in enumerate(places) if place.next and place.next.state is not None}
 
 
 class _Form:

@@ -14,6 +14,9 @@ SPEC_ID, KEYWORDS, WRAPPERS, VECTORIZED = "env_id", "env_kwargs", "env_wrappers"
 STATED = "maniskill"
 """VECTORIZED of environments of ManiSkill whose observations are their states, in which episodes can begin."""
 
+SUITED = "robosuite"
+"""VECTORIZED of environments of robosuite, observed and begun likewise."""
+
 NOT_JSON = "no JSON"
 """What stands for keywords that are no plain values, such as functions."""
 

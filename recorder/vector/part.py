@@ -13,8 +13,8 @@ ACTION = "action"
 """Of the arrays of actions, the beginning of the name."""
 
 State = Mapping[str, NDArray[np.floating]]
-"""MuJoCo's "qpos" and "qvel", in the units of the model; of ManiSkill, the arrays of its state by their names in a
-recording."""
+"""MuJoCo's "qpos" and "qvel", in the units of the model; of ManiSkill and robosuite, the arrays of
+a whole state by their names in a recording."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,13 @@ class Part:
     actions  by the name of the array in a recording, [step, ...], in the dtype that the environment was given
     seed     of the reset that begins it; None: the environment goes on with its random numbers
     state    with which it begins; None: the reset decides
+    model    MJCF of the model in which it begins; None: that of the task
     """
 
     actions: Mapping[str, NDArray[Any]]
     seed: int | None = None
     state: State | None = None
+    model: str | None = None
 
     def __len__(self) -> int:
         return len(next(iter(self.actions.values()), ()))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -13,39 +12,13 @@ pytest.importorskip("mani_skill")
 
 import h5py
 
-from gpusimbench import UsageError, open_recording, verify
+from gpusimbench import UsageError, open_recording
 from gpusimbench.evaluator.diff.verdict import place_of
-from gpusimbench.evaluator.episodes.success import At
-from gpusimbench.evaluator.replays.comparison import Compared, compare
 from gpusimbench.evaluator.replays.verdict import Verdict
-from gpusimbench.recorder.demonstrations.formats import data_set_at
-from gpusimbench.recorder.vector.making import registered
-from gpusimbench.recorder.vector.open_loop import replay
-from gpusimbench.replay.dataset import converted
-from gpusimbench.replay.origin import given, origin_of
-from gpusimbench.replay.parts import infos_of, parts_of, seed_of
 from tests.maniskill_tasks import SEEDS, STEPS, TASK, record
+from tests.replaying import replayed
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of ManiSkill, which calls numpy as it was
-
-
-def replayed(file: Path, *changed: str) -> Compared:
-    """What gsb-replay does with a data set, but for what it prints."""
-    source = data_set_at(file)
-    assert source is not None
-    how = Namespace(against=None, make=None, episodes=None, env=TASK, keywords=list(changed))
-    original = open_recording(converted(source, how))
-    verify(original)
-    origin = origin_of(original, TASK, given(changed))
-    envs = registered(origin.spec_id, origin.keywords, 1, vectorization=origin.vectorization)
-    path, infos = Path("replay.mcap"), infos_of(original)
-    replay(
-        envs, path, parts_of(original), seed=seed_of(original), infos=infos, dt=original.configuration.dt,
-        images="numbers",
-    )  # fmt: skip
-    again = open_recording(path)
-    verify(again)
-    return compare(original, again, success="success", at=At.LAST, tolerance=0.01)
 
 
 @pytest.fixture
@@ -70,7 +43,7 @@ def test_trajectories_replay(mode: str, seeds: tuple[int | None, ...], here: Pat
     """Replay bit for bit, by the recorded seeds, or, where others lead elsewhere, by the recorded states."""
     file = record(here / "demos", mode)
     seeded(file, *seeds)
-    found = replayed(file)
+    found = replayed(file, env=TASK)
     assert [one.verdict for one in found.episodes] == [Verdict.IDENTICAL] * 3
     assert {one.steps for one in found.episodes} == {(STEPS, STEPS)} and found.began_otherwise == 0
     original = open_recording("trajectory.mcap")
@@ -84,7 +57,7 @@ def test_trajectories_replay(mode: str, seeds: tuple[int | None, ...], here: Pat
 
 def test_another_step_of_physics_is_found(here: Path) -> None:
     """Say at which step the states of a replay leave those of the file, and that they began as recorded."""
-    found = replayed(record(here / "demos"), 'sim_config={"sim_freq": 200}')
+    found = replayed(record(here / "demos"), 'sim_config={"sim_freq": 200}', env=TASK)
     assert found.count(Verdict.IDENTICAL) == 0 and found.began_otherwise == 0
     for one in found.episodes:
         assert one.first is not None and one.first.step == 1 and one.largest is not None
@@ -99,7 +72,7 @@ def test_a_changed_state_is_another(here: Path) -> None:
         row = cube[7]
         row[1] = np.nextafter(row[1], np.float32(2))
         cube[7] = row
-    found = replayed(file)
+    found = replayed(file, env=TASK)
     assert [one.verdict for one in found.episodes] == [Verdict.IDENTICAL, Verdict.SAME, Verdict.IDENTICAL]
     first = found.episodes[1].first
     assert first is not None and (first.step, place_of(first.number)) == (7, "observation_actors_cube[1]")
@@ -108,4 +81,4 @@ def test_a_changed_state_is_another(here: Path) -> None:
 def test_files_without_states_are_refused(here: Path) -> None:
     """Say by which option of RecordEpisode the file would have them."""
     with pytest.raises(UsageError, match="has no env_states: RecordEpisode writes them with record_env_state=True"):
-        replayed(record(here / "demos", record_env_state=False))
+        replayed(record(here / "demos", record_env_state=False), env=TASK)

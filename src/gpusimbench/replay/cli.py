@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 _REQUIRED = ("bit-identical", "same-outcome")
 _READ = (
-    "recording (.mcap) of gpusimbench.wrap, file of D4RL (.hdf5) or ManiSkill (.h5), or folder of a Minari or LeRobot "
-    "data set"
+    "recording (.mcap) of gpusimbench.wrap, file of D4RL, robomimic (.hdf5) or ManiSkill (.h5), or folder of a Minari "
+    "or LeRobot data set"
 )
 
 _EPILOG = """\
@@ -35,7 +35,7 @@ are no paths, and --make imports your own module.
 
 verdicts, strongest first:
   bit-identical   every observation and reward has the same bits, and the episode ends at the same step; observations
-                  of ManiSkill's trajectories are the states of all bodies and joints
+                  of ManiSkill's and robosuite's data sets are the states of the physics
   same outcome    bits differ; length, end, success and, within --tolerance, the return are the same
   outcome not known  bits differ, and the data set has neither rewards nor the info of --success
   other outcome   one of these differs
@@ -54,6 +54,7 @@ examples:
   gsb-replay demos.mcap --set frame_skip=4 --require same-outcome
   gsb-replay hopper_medium-v2.hdf5 --env Hopper-v5 --episodes 100
   gsb-replay PickCube-v1/motionplanning/trajectory.h5 --success-at any
+  gsb-replay lift/demo.hdf5
   gsb-replay lerobot/pusht --env gym_pusht/PushT-v0 --success is_success
   gsb-replay demos.mcap --make my_task:make --success success
   gsb-replay demos.mcap --against replay-of-another-machine.mcap --json -
