@@ -25,11 +25,16 @@ def replayed(file: Path, *changed: str, env: str | None = None) -> Compared:
     source = data_set_at(file)
     assert source is not None
     how = Namespace(against=None, make=None, episodes=None, env=env, keywords=list(changed))
-    original = open_recording(converted(source, how))
+    return replayed_recording(converted(source, how), Path("replay.mcap"), *changed, env=env)
+
+
+def replayed_recording(file: Path, path: Path, *changed: str, env: str | None = None) -> Compared:
+    """The same of a recording; the replay is written to a path."""
+    original = open_recording(file)
     verify(original)
     origin = origin_of(original, env, given(changed))
     envs = registered(origin.spec_id, origin.keywords, 1, vectorization=origin.vectorization)
-    path, infos = Path("replay.mcap"), infos_of(original)
+    infos = infos_of(original)
     replay(
         envs, path, parts_of(original), seed=seed_of(original), infos=infos, dt=original.configuration.dt,
         images="numbers",

@@ -105,6 +105,8 @@ def test_data_sets_replay(task: str, tmp_path: Path) -> None:
     first, second = (one.state("env", "final_observation")[:] for one in arrays)
     steps = min(len(one) for one in of) + 1
     assert (first[:steps] == second[:steps]).all()  # rows are those of wrap
+    seeded = call("gsb-replay", "grouped-v0-replay.mcap", code=0, cwd=tmp_path).stdout  # which has the seeds, too
+    assert "All 3 episodes replay bit for bit." in seeded
     again = call("gsb-replay", "flat.hdf5", "--env", task, code=2, cwd=tmp_path).stderr
     assert "flat.mcap exists: give it instead" in again
     call("gsb-replay", "flat.mcap", *longest, "--out", "again.mcap", code=0, cwd=tmp_path)

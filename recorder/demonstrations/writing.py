@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -19,9 +18,10 @@ from gpusimbench.recorder.vector.fields import GIVEN, field_of, recorded_dtype
 from gpusimbench.recorder.vector.infos import array_name
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID, VECTORIZED
+from gpusimbench.recorder.vector.part import attachments
 from gpusimbench.schemas.errors import DamagedRecording, Unreachable
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
-from gpusimbench.schemas.vector import DATA_SET, FINAL_GIVEN, MODELS, NOT_GIVEN, PHYSICS, SEEDS
+from gpusimbench.schemas.vector import DATA_SET, FINAL_GIVEN, NOT_GIVEN, PHYSICS
 
 _ROWS = 50
 _BLOCK = 1 << 20  # bytes that are read at a time
@@ -67,15 +67,6 @@ def write(
         )
         for name, array in columns.items()
     ]
-    attached = {}
-    if any(one.seed is not None for one in demonstrations):
-        seeds = [[one.seed for one in of_env] for of_env in dealt]
-        attached[SEEDS] = ("application/json", json.dumps(seeds).encode())
-    if any(one.model is not None for one in demonstrations):
-        numbers = {text: i for i, text in enumerate(dict.fromkeys(one.model for one in demonstrations if one.model))}
-        of_episodes = [[numbers.get(one.model or "") for one in of_env] for of_env in dealt]
-        told = json.dumps({"models": list(numbers), "episodes": of_episodes})
-        attached[MODELS] = ("application/gzip", gzip.compress(told.encode(), mtime=0))
     digest = hashlib.sha256()
     for one in source.files:
         try:
@@ -86,7 +77,7 @@ def write(
             raise Unreachable(f"cannot read {one}: {error.strerror}") from None
     with RecordingWriter(
         path, simulator=DATA_SET, version=source.version, scene=spec_id, n_env=n_env, dt=dt,
-        steps=steps, fields=fields, view=(), compression="zstd", attachments=attached,
+        steps=steps, fields=fields, view=(), compression="zstd", attachments=attachments(dealt),
         options={
             "autoreset_mode": Mode.DISABLED.value, SPEC_ID: spec_id,
             **({} if keywords is None else {KEYWORDS: json.dumps(keywords, sort_keys=True)}),

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.vector.fields import field_of
 from gpusimbench.recorder.vector.infos import given
 from gpusimbench.recorder.vector.modes import Mode, mode_of
-from gpusimbench.recorder.vector.part import ACTION, Part
+from gpusimbench.recorder.vector.part import ACTION, Part, attachments
 from gpusimbench.recorder.vector.physics import NAMES
 from gpusimbench.recorder.vector.starts import begin_at
 from gpusimbench.recorder.vector.wrap import wrap
+from gpusimbench.recorder.vector.wrapper import Recorded
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.text import few
 from gpusimbench.schemas.trees import leaves, mapped
@@ -93,6 +94,8 @@ def replay(
         place.last = {name: array[0] for name, array in spare.actions.items()}
     physics = any(part.state is not None and set(NAMES) <= set(part.state) for of_env in parts for part in of_env)
     with wrap(envs, path, steps=steps, dt=dt, infos=infos, physics=physics, images=images) as recorded:
+        if isinstance(recorded, Recorded):  # so that a replay of the replay begins alike
+            recorded.attach(attachments(parts))
         form = _Form(recorded.action_space)
         form.check(part for of_env in parts for part in of_env)
         begin_at(envs, _starts(places))

@@ -16,7 +16,7 @@ from gpusimbench import UsageError, open_recording
 from gpusimbench.evaluator.diff.verdict import place_of
 from gpusimbench.evaluator.replays.verdict import Verdict
 from tests.maniskill_tasks import SEEDS, STEPS, TASK, record
-from tests.replaying import replayed
+from tests.replaying import replayed, replayed_recording
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of ManiSkill, which calls numpy as it was
 
@@ -53,6 +53,8 @@ def test_trajectories_replay(mode: str, seeds: tuple[int | None, ...], here: Pat
     assert (original.state("env", "observation_actors_cube")[:-1, 0, 0] == cube).all()
     assert np.ptp(cube[:, 2]) > 0.01  # it fell, or was moved
     assert [one.success for one in found.episodes] == [(flag, flag) for flag in succeeded]
+    again = replayed_recording(Path("replay.mcap"), Path("again.mcap"), env=TASK)  # which has seeds and states, too
+    assert [one.verdict for one in again.episodes] == [Verdict.IDENTICAL] * 3
 
 
 def test_another_step_of_physics_is_found(here: Path) -> None:

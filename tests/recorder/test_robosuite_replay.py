@@ -20,7 +20,7 @@ import robosuite
 
 from gpusimbench import GsbError, open_recording
 from gpusimbench.evaluator.replays.verdict import Verdict
-from tests.replaying import replayed
+from tests.replaying import replayed, replayed_recording
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of robosuite, which leaves files open
 CONFIGURATION = {"env_name": "Lift", "robots": "Panda", "control_freq": 20}
@@ -77,6 +77,8 @@ def test_demonstrations_replay(collected: Path, here: Path) -> None:
     with h5py.File(collected) as file:
         qpos = np.concatenate([file[f"data/demo_{number}/states"][:, 1:17] for number in (1, 2)])
     assert (recording.state("env", "observation_qpos")[:-1, 0, 0] == qpos).all()
+    again = replayed_recording(Path("replay.mcap"), Path("again.mcap"))  # which has states and models, too
+    assert [one.verdict for one in again.episodes] == [Verdict.IDENTICAL] * 2
 
 
 def test_another_time_step_is_another_outcome(collected: Path, here: Path) -> None:
