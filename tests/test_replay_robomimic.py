@@ -126,6 +126,18 @@ def test_files_that_cannot_be(change: Callable[[Any], None], said: str, tmp_path
         found_at(written(tmp_path / "a.hdf5", change=change)).read(None, space())
 
 
+@pytest.mark.parametrize(("number", "size"), [(1, 2**64 - 16), (1, 2**20), (0, 0)])
+def test_texts_that_would_be_read_for_ever(number: int, size: int, tmp_path: Path) -> None:
+    """Refuse a file in which an object of a heap has a size with which HDF5's library does not come to its end."""
+    file = written(tmp_path / "a.hdf5")
+    whole = bytearray(file.read_bytes())
+    at = whole.index(b"GCOL") + 16
+    whole[at : at + 2], whole[at + 8 : at + 16] = number.to_bytes(2, "little"), size.to_bytes(8, "little")
+    file.write_bytes(whole)
+    with pytest.raises(DamagedRecording, match="a heap of texts has other sizes"):
+        data_set_at(file)
+
+
 def test_models_in_a_recording_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Refuse models that are not packed as they are written, or too long."""
     source = found_at(written(tmp_path / "a.hdf5"))

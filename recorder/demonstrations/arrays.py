@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ SUFFIXES = (".hdf5", ".h5")
 
 _MOST_BYTES = 16 << 30  # of an array, which a small file can claim to have
 _DEEPEST = 8
+_HEAP, _HEADER = b"GCOL\x01\0\0\0", 16  # of a heap; bytes before its objects, and before each of them
 
 
 @contextmanager
@@ -42,6 +44,24 @@ def opened_file(path: Path) -> Iterator[Any]:
         except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
             # h5py has no kind of error for damaged bytes: which one it raises depends on what they were
             raise DamagedRecording(f"{path} is damaged, get it again: {error}") from error
+
+
+def check_texts(path: Path) -> None:
+    """DamagedRecording where a heap of texts is damaged in a way in which HDF5's library reads it for ever.
+
+    The layout is the "global heap" of the HDF5 File Format Specification, version 3, III.E: a signature, the size of
+    the heap, and objects, each with its number and its size. An object of number 0 is the free space.
+    """
+    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as whole:
+        at = whole.find(_HEAP)
+        while at >= 0:
+            end, there = at + int.from_bytes(whole[at + 8 : at + 16], "little"), at + _HEADER
+            while there + _HEADER <= end:
+                number, size = (int.from_bytes(whole[there + i : there + j], "little") for i, j in ((0, 2), (8, 16)))
+                there += (size + 7) // 8 * 8 + (_HEADER if number else 0)
+                if there > min(end, len(whole)) or (not number and size < _HEADER):
+                    raise DamagedRecording(f"{path} is damaged, get it again: a heap of texts has other sizes")
+            at = whole.find(_HEAP, at + 1)
 
 
 def member(path: Path, group: Any, name: str) -> Any:

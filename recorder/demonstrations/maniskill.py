@@ -78,7 +78,8 @@ def made(file: Path, metadata: Mapping[str, Any]) -> Made:
         keywords.setdefault("control_mode", modes[0])
     if type(of_env.get("max_episode_steps")) is int:
         keywords.setdefault("max_episode_steps", of_env["max_episode_steps"])
-    return Made(str(of_env.get("env_id", "")), keywords, vectorization=STATED)
+    name = of_env.get("env_id")
+    return Made(name if isinstance(name, str) else "", keywords, vectorization=STATED)
 
 
 def read(file: Path, metadata: Mapping[str, Any], most: int | None = None) -> list[Demonstration]:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.recorder.demonstrations.arrays import SUFFIXES, is_group, member, opened_file, read_array
+from gpusimbench.recorder.demonstrations.arrays import SUFFIXES, check_texts, is_group, member, opened_file, read_array
 from gpusimbench.recorder.demonstrations.data_set import DataSet, Made
 from gpusimbench.recorder.demonstrations.demonstration import Arrays, Demonstration, checked
 from gpusimbench.recorder.vector.origin import SUITED
@@ -35,15 +35,16 @@ def opened(path: Path) -> DataSet | None:
     with opened_file(path) as file:
         if not is_group(file, _DATA) or not {"env_args", "env_info"} & set(file[_DATA].attrs):
             return None
+        check_texts(path)
         told = _told(path, file[_DATA].attrs)
-    version = told.get("env_version")
+    name, version = told.get("env_name"), told.get("env_version")
     return DataSet(
         path=path,
         name=path.stem,
         version=f"robosuite {version}" if isinstance(version, str) else "robosuite",
         files=(path,),
         read=lambda most, space: read(path, space, most),
-        made=Made(str(told.get("env_name", "")), told["env_kwargs"], vectorization=SUITED),
+        made=Made(name if isinstance(name, str) else "", told["env_kwargs"], vectorization=SUITED),
         at_once=1,  # each episode has a model of its own, which its environment loads
     )
 
