@@ -32,6 +32,10 @@ PHYSICS = "physics_"
 SEEDS = "episode_seeds.json"
 """The attachment with the seed of each episode's reset, [env][episode], null where none is known."""
 
+MODELS = "episode_models.json.gz"
+"""The attachment with the models of episodes, gzip of JSON: "models", texts of MJCF, and "episodes", the number of its
+model for each [env][episode], null where the task decides."""
+
 _HASH = re.compile(r"(.*) keys, hash ([0-9a-f]{8})[0-9a-f]{8}")
 _LONGEST = 24  # text of seeds that names of groups show as it is
 

@@ -105,6 +105,8 @@ def test_data_sets_replay(task: str, tmp_path: Path) -> None:
     first, second = (one.state("env", "final_observation")[:] for one in arrays)
     steps = min(len(one) for one in of) + 1
     assert (first[:steps] == second[:steps]).all()  # rows are those of wrap
+    seeded = call("gsb-replay", "grouped-v0-replay.mcap", code=0, cwd=tmp_path).stdout  # which has the seeds, too
+    assert "All 3 episodes replay bit for bit." in seeded
     again = call("gsb-replay", "flat.hdf5", "--env", task, code=2, cwd=tmp_path).stderr
     assert "flat.mcap exists: give it instead" in again
     call("gsb-replay", "flat.mcap", *longest, "--out", "again.mcap", code=0, cwd=tmp_path)
@@ -235,7 +237,9 @@ def test_what_to_give(tmp_path: Path) -> None:
     """Name the formats where a file is of none, and of the options that name a task the one that data sets take."""
     np.savez(tmp_path / "demos.npz", actions=np.ones(3))
     other = call("gsb-replay", "demos.npz", code=3, cwd=tmp_path).stderr
-    assert "demos.npz is not an MCAP file; gsb-replay takes a recording (.mcap) of gpusimbench.wrap, D4RL file" in other
+    assert (
+        "demos.npz is not an MCAP file; gsb-replay takes a recording (.mcap) of gpusimbench.wrap, file of D4RL" in other
+    )
     with h5py.File(tmp_path / "demos.hdf5", "w") as file:
         file["rewards"] = np.ones(4)
     unnamed = call("gsb-replay", "demos.hdf5", code=2, cwd=tmp_path).stderr

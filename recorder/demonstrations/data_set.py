@@ -12,11 +12,15 @@ from gpusimbench.recorder.demonstrations.demonstration import Demonstration
 
 @dataclass(frozen=True)
 class Made:
-    """How an environment was made, as far as known: id and keywords of Gymnasium's registry, names of wrappers."""
+    """How an environment was made, as far as known: id and keywords of Gymnasium's registry, names of wrappers.
+
+    vectorization  see registered of recorder.vector.making
+    """
 
     spec_id: str = ""
     keywords: dict[str, Any] = field(default_factory=dict)
     wrappers: tuple[str, ...] = ()
+    vectorization: str = "sync"
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class DataSet:
              environment that has the given space of observations
     made     how its environment was made
     dt       time between two frames [s]; None where it is not known
+    at_once  environments at most, over which the episodes are dealt; 1: a single one goes through them in their order
     """
 
     path: Path
@@ -40,3 +45,4 @@ class DataSet:
     read: Callable[[int | None, Any], list[Demonstration]]
     made: Made = field(default_factory=Made)
     dt: float | None = None
+    at_once: int = 16

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
+
+from gpusimbench.schemas.errors import DamagedRecording
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -22,7 +25,8 @@ class Demonstration:
     seed          of the reset that began it; None where the data set has none
     physics       MuJoCo's "qpos" and "qvel" at each action, [T, ...]; empty where the data set has none
     rewarded      whether the data set has rewards; zeros stand for them where it has not
-    infos         what the info of each step said, by name, [T]
+    infos         what the info of each step said, by name, [T]; NaN where it said nothing
+    model         MJCF of the model in which it was made; None where the task alone decides
     """
 
     observations: Arrays
@@ -34,6 +38,26 @@ class Demonstration:
     physics: Arrays
     rewarded: bool = True
     infos: Arrays = field(default_factory=dict)
+    model: str | None = None
 
     def __len__(self) -> int:
         return len(self.rewards)
+
+
+def checked(path: Path, found: Demonstration) -> Demonstration:
+    """The same episode; DamagedRecording where its arrays contradict each other."""
+    n = len(found)
+    if not n:
+        raise DamagedRecording(f"{path} has an episode without a step")
+    if found.rewards.ndim != 1:
+        raise DamagedRecording(f"{path}: rewards have the shape {found.rewards.shape}, and not one number a step")
+    for what, arrays in (("observations", found.observations), ("actions", found.actions)):
+        if not arrays or not all(array.size for array in arrays.values()):
+            raise DamagedRecording(f"{path} has an episode whose {what} have no numbers")
+    if any(len(array) not in (n, n + 1) for array in found.observations.values()) or any(
+        len(array) != n for array in (*found.actions.values(), *found.physics.values())
+    ):
+        raise DamagedRecording(f"{path}: the arrays of an episode of {n} steps have other lengths")
+    if len({len(array) for array in found.observations.values()}) > 1:
+        raise DamagedRecording(f"{path}: the observations of an episode of {n} steps have different lengths")
+    return found

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from gpusimbench.recorder.demonstrations import hdf5, lerobot
+from gpusimbench.recorder.demonstrations import hdf5, lerobot, maniskill, robomimic
 from gpusimbench.recorder.demonstrations.data_set import DataSet
 from gpusimbench.schemas.errors import UsageError
 
-FORMATS: tuple[Callable[[Path], DataSet | None], ...] = (lerobot.opened, hdf5.opened)
+FORMATS: tuple[Callable[[Path], DataSet | None], ...] = (
+    lerobot.opened,
+    maniskill.opened,
+    robomimic.opened,
+    hdf5.opened,
+)
 """Each returns the data set at a path, or None where it is not of the format."""
 
 

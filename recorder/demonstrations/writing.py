@@ -17,12 +17,12 @@ from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.fields import GIVEN, field_of, recorded_dtype
 from gpusimbench.recorder.vector.infos import array_name
 from gpusimbench.recorder.vector.modes import Mode
-from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID
+from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID, VECTORIZED
+from gpusimbench.recorder.vector.part import attachments
 from gpusimbench.schemas.errors import DamagedRecording, Unreachable
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
-from gpusimbench.schemas.vector import DATA_SET, FINAL_GIVEN, NOT_GIVEN, PHYSICS, SEEDS
+from gpusimbench.schemas.vector import DATA_SET, FINAL_GIVEN, NOT_GIVEN, PHYSICS
 
-_AT_ONCE = 16  # environments, over which episodes are dealt
 _ROWS = 50
 _BLOCK = 1 << 20  # bytes that are read at a time
 _FLAGS = ("terminated", "truncated", "stepped", "episode", "episode_step", FINAL_GIVEN)
@@ -40,7 +40,7 @@ def write(
     keywords: Mapping[str, Any] | None,
     dt: float,
 ) -> None:
-    """Write a recording in which 16 environments at most go through the episodes, dealt in their order.
+    """Write a recording in which a few environments go through the episodes, dealt in their order.
 
     path      of the recording
     source    the data set, of whose files the recording has the SHA-256, one after another
@@ -49,7 +49,7 @@ def write(
 
     UsageError where the recording exists. DamagedRecording where episodes have different arrays.
     """
-    n_env = min(_AT_ONCE, len(demonstrations))
+    n_env = min(source.at_once, len(demonstrations))
     dealt = [list(demonstrations[env::n_env]) for env in range(n_env)]
     columns = _columns(dealt, source.path)
     rewarded = all(one.rewarded for one in demonstrations)
@@ -67,10 +67,6 @@ def write(
         )
         for name, array in columns.items()
     ]
-    attached = {}
-    if any(one.seed is not None for one in demonstrations):
-        seeds = [[one.seed for one in of_env] for of_env in dealt]
-        attached[SEEDS] = ("application/json", json.dumps(seeds).encode())
     digest = hashlib.sha256()
     for one in source.files:
         try:
@@ -81,12 +77,13 @@ def write(
             raise Unreachable(f"cannot read {one}: {error.strerror}") from None
     with RecordingWriter(
         path, simulator=DATA_SET, version=source.version, scene=spec_id, n_env=n_env, dt=dt,
-        steps=steps, fields=fields, view=(), compression="zstd", attachments=attached,
+        steps=steps, fields=fields, view=(), compression="zstd", attachments=attachments(dealt),
         options={
             "autoreset_mode": Mode.DISABLED.value, SPEC_ID: spec_id,
             **({} if keywords is None else {KEYWORDS: json.dumps(keywords, sort_keys=True)}),
             "seeds": "not given", "source": source.path.name or source.name, "source_sha256": digest.hexdigest(),
             **({} if rewarded else {NOT_GIVEN: "reward"}),
+            **({VECTORIZED: source.made.vectorization} if source.made.vectorization != "sync" else {}),
         },
     ) as log:  # fmt: skip
         for begin in range(0, steps + 1, _ROWS):
@@ -135,8 +132,10 @@ def _put(columns: Columns, env: int, at: int, number: int, one: Demonstration, s
     given |= {f"{PHYSICS}{name}": (before, array) for name, array in one.physics.items()}
     given["reward"] = (after, one.rewards)
     for name, array in one.infos.items():
-        given[array_name(name)] = (after, array.astype(np.float64))
-        given[f"{array_name(name)}{GIVEN}"] = (after, np.ones(n, bool))
+        values = array.astype(np.float64)
+        told = ~np.isnan(values)
+        given[array_name(name)] = (after, np.where(told, values, 0.0))
+        given[f"{array_name(name)}{GIVEN}"] = (after, told)
     for name, (rows, array) in given.items():
         column = columns.get(name)
         if column is None or column.shape[2:] != array.shape[1:] or column.dtype != array.dtype:

@@ -10,14 +10,21 @@ from typing import Any
 
 import gymnasium
 
+from gpusimbench.recorder.vector.maniskill import stated
+from gpusimbench.recorder.vector.origin import STATED, SUITED
+from gpusimbench.recorder.vector.robosuite import suited
 from gpusimbench.recorder.vector.starts import Started
 from gpusimbench.schemas.errors import UsageError
+
+_OF_PACKAGES = {STATED: stated, SUITED: suited}
+"""Makers of environments that are observed as their states."""
 
 
 def registered(spec_id: str, keywords: Mapping[str, Any], n_env: int, *, vectorization: str = "sync") -> Any:
     """Environments of Gymnasium's registry, in this process, whose user resets them where they can be made so.
 
-    vectorization  "vector_entry_point" for tasks that have a vector environment of their own, which resets itself
+    vectorization  "vector_entry_point" for tasks that have a vector environment of their own, which resets itself;
+                   STATED or SUITED for those of ManiSkill and robosuite, see recorder.vector.maniskill and robosuite
 
     UsageError where Gymnasium cannot make them.
     """
@@ -27,6 +34,8 @@ def registered(spec_id: str, keywords: Mapping[str, Any], n_env: int, *, vectori
         "wrappers": [Started],
     }
     try:
+        if vectorization in _OF_PACKAGES:
+            return _OF_PACKAGES[vectorization](spec_id, keywords, n_env)
         return gymnasium.make_vec(
             spec_id,
             num_envs=n_env,
@@ -34,6 +43,8 @@ def registered(spec_id: str, keywords: Mapping[str, Any], n_env: int, *, vectori
             **({} if own else disabled),
             **keywords,
         )
+    except UsageError:
+        raise
     except Exception as error:  # of a task's own kind, such as a keyword that it does not know
         raise UsageError(f"{spec_id} cannot be made: {type(error).__name__}: {error}") from None
 

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.vector.fields import field_of
 from gpusimbench.recorder.vector.infos import given
 from gpusimbench.recorder.vector.modes import Mode, mode_of
-from gpusimbench.recorder.vector.part import ACTION, Part, State
+from gpusimbench.recorder.vector.part import ACTION, Part, attachments
+from gpusimbench.recorder.vector.physics import NAMES
 from gpusimbench.recorder.vector.starts import begin_at
 from gpusimbench.recorder.vector.wrap import wrap
+from gpusimbench.recorder.vector.wrapper import Recorded
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.text import few
 from gpusimbench.schemas.trees import leaves, mapped
@@ -73,7 +75,7 @@ def replay(
     seed   of the first reset: a number, one for each environment, or None
     infos  as of wrap
     needed  an info that some environment gives in its first step; an empty one: none is needed
-    dt, images  as of wrap; physics is recorded where parts begin in states
+    dt, images  as of wrap; physics is recorded where parts begin in states of MuJoCo
 
     An environment whose episode ends earlier than its actions goes on with its next episode. With the autoreset mode
     Disabled, one whose episode has not ended after its last action is reset; in other modes it is fed the last action
@@ -90,8 +92,10 @@ def replay(
     spare = next(of_env[0] for of_env in parts if of_env)
     for place in places:
         place.last = {name: array[0] for name, array in spare.actions.items()}
-    physics = any(part.state is not None for of_env in parts for part in of_env)
+    physics = any(part.state is not None and set(NAMES) <= set(part.state) for of_env in parts for part in of_env)
     with wrap(envs, path, steps=steps, dt=dt, infos=infos, physics=physics, images=images) as recorded:
+        if isinstance(recorded, Recorded):  # so that a replay of the replay begins alike
+            recorded.attach(attachments(parts))
         form = _Form(recorded.action_space)
         form.check(part for of_env in parts for part in of_env)
         begin_at(envs, _starts(places))
@@ -122,13 +126,13 @@ def _reset(envs: Any, places: Sequence[_Place]) -> None:
     for place in (place for place, over in zip(places, mask, strict=True) if over):
         place.begin()
     seeds = [place.next.seed if over and place.next else None for place, over in zip(places, mask, strict=True)]
-    begin_at(envs, {env: state for env, state in _starts(places).items() if mask[env]})
+    begin_at(envs, {env: part for env, part in _starts(places).items() if mask[env]})
     seeded = any(seed is not None for seed in seeds)
     envs.reset(options={"reset_mask": mask}, **({"seed": seeds} if seeded else {}))
 
 
-def _starts(places: Sequence[_Place]) -> dict[int, State]:
-    return {env: place.next.state for env, place in enumerate(places) if place.next and place.next.state is not None}
+def _starts(places: Sequence[_Place]) -> dict[int, Part]:
+    return {env: place.next for env, place in enumerate(places) if place.next and place.next.state is not None}
 
 
 class _Form:

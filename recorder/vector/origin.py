@@ -11,6 +11,12 @@ from gpusimbench.schemas.vector import NO_SEED, RESET_SEEDS
 SPEC_ID, KEYWORDS, WRAPPERS, VECTORIZED = "env_id", "env_kwargs", "env_wrappers", "vectorization"
 """Options of a recording: id of Gymnasium's registry, keywords as JSON, names of wrappers, "sync" or another word."""
 
+STATED = "maniskill"
+"""VECTORIZED of environments of ManiSkill whose observations are their states, in which episodes can begin."""
+
+SUITED = "robosuite"
+"""VECTORIZED of environments of robosuite, observed and begun likewise."""
+
 NOT_JSON = "no JSON"
 """What stands for keywords that are no plain values, such as functions."""
 

@@ -1,4 +1,4 @@
-"""Gymnasium's MuJoCo tasks, begun in a given state of the physics instead of that which reset draws."""
+"""Tasks that begin in a given state instead of that which reset draws: here, MuJoCo tasks of Gymnasium."""
 
 from __future__ import annotations
 
@@ -8,21 +8,23 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from gpusimbench.recorder.vector.part import State
+from gpusimbench.recorder.vector.part import Part, State
 from gpusimbench.schemas.errors import UsageError
 
 
 class Started(gymnasium.Wrapper):  # type: ignore[misc]
     """A task whose next reset ends in `start`, where that is given."""
 
-    start: State | None = None
+    start: Part | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """See Env.reset. UsageError where the task cannot be brought into the state."""
         observation, info = self.env.reset(seed=seed, options=options)
-        state, self.start = self.start, None
-        if state is None:
-            return observation, info
+        start, self.start = self.start, None
+        return (observation if start is None or start.state is None else self.begun(start.state)), info
+
+    def begun(self, state: State) -> Any:
+        """Bring the task into a state; returns its observation. UsageError as of reset."""
         task = self.unwrapped
         if not all(callable(getattr(task, name, None)) for name in ("set_state", "_get_obs")):
             raise UsageError(
@@ -34,18 +36,19 @@ class Started(gymnasium.Wrapper):  # type: ignore[misc]
                 f"the recorded {odd[0]} has {state[odd[0]].size} numbers, and the task {shapes[odd[0]][0]}"
             )
         task.set_state(np.asarray(state["qpos"], np.float64), np.asarray(state["qvel"], np.float64))
-        return task._get_obs(), info
+        return task._get_obs()
 
 
-def begin_at(envs: Any, starts: Mapping[int, State]) -> None:
+def begin_at(envs: Any, starts: Mapping[int, Part]) -> None:
     """Have the next reset of some environments end in a state; UsageError where that cannot be.
 
     starts  by the number of the environment
     """
     tasks = getattr(envs.unwrapped, "envs", ())
-    for env, state in starts.items():
-        if env >= len(tasks) or not isinstance(tasks[env], Started):
+    for env, start in starts.items():
+        if env >= len(tasks) or not hasattr(tasks[env], "start"):
             raise UsageError(
-                "episodes begin in a recorded state only in tasks that --env names, of MuJoCo in Gymnasium"
+                "episodes begin in a recorded state only in tasks that --env names: of MuJoCo in Gymnasium, of "
+                "ManiSkill, and of robosuite"
             )
-        tasks[env].start = state
+        tasks[env].start = start

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,7 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         self._images, self._of_images = images, dict[str, str]()  # and notes on the arrays of their hashes
         self._physics = Physics(envs) if physics else None
         self._path, self._steps, self._dt, self._infos = path, steps, dt, infos
+        self._attached: dict[str, tuple[str, bytes]] = {}
         self._mode = mode_of(envs)
         self._ledger = Ledger(self.num_envs, self._mode)
         self._start: tuple[Row, Any] | None = None  # observations of the first reset, and its seed
@@ -90,6 +91,10 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             self._end(error)
             raise
         return returned
+
+    def attach(self, files: Mapping[str, tuple[str, bytes]]) -> None:
+        """Keep files in the recording, before its first step: name -> (media type, bytes)."""
+        self._attached |= files
 
     def fingerprint(self, name: str, arrays: Any) -> None:
         """Hash arrays of an update, such as a policy, a gradient or a batch; see RecordingWriter.fingerprint.
@@ -171,7 +176,7 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         log = RecordingWriter(
             self._path, simulator="gymnasium", version=gymnasium.__version__, scene=_name(self.env), n_env=n_env,
             dt=self._dt, steps=self._steps, fields=fields, seed=number, options=options, view=(),
-            attachments=self._physics.attachments() if self._physics else {},
+            attachments={**(self._physics.attachments() if self._physics else {}), **self._attached},
         )  # fmt: skip
         log.__enter__()
         self._log = log

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from gpusimbench.evaluator.replays.comparison import Compared
 
 _REQUIRED = ("bit-identical", "same-outcome")
-_READ = "recording (.mcap) of gpusimbench.wrap, D4RL file (.hdf5), or folder of a Minari or LeRobot data set"
+_READ = (
+    "recording (.mcap) of gpusimbench.wrap, file of D4RL, robomimic (.hdf5) or ManiSkill (.h5), or folder of a Minari "
+    "or LeRobot data set"
+)
 
 _EPILOG = """\
 The recorded actions are fed, open loop, to an environment that is made again and reset with the recorded seeds; what it
@@ -30,7 +33,8 @@ Code runs only if you have it installed or name it: from a file come the id of G
 are no paths, and --make imports your own module.
 
 verdicts, strongest first:
-  bit-identical   every observation and reward has the same bits, and the episode ends at the same step
+  bit-identical   every observation and reward has the same bits, and the episode ends at the same step; observations
+                  of ManiSkill's and robosuite's data sets are the states of the physics
   same outcome    bits differ; length, end, success and, within --tolerance, the return are the same
   outcome not known  bits differ, and the data set has neither rewards nor the info of --success
   other outcome   one of these differs
@@ -48,6 +52,8 @@ examples:
   gsb-replay demos.mcap
   gsb-replay demos.mcap --set frame_skip=4 --require same-outcome
   gsb-replay hopper_medium-v2.hdf5 --env Hopper-v5 --episodes 100
+  gsb-replay PickCube-v1/motionplanning/trajectory.h5 --success-at any
+  gsb-replay lift/demo.hdf5
   gsb-replay lerobot/pusht --env gym_pusht/PushT-v0 --success is_success
   gsb-replay demos.mcap --make my_task:make --success success
   gsb-replay demos.mcap --against replay-of-another-machine.mcap --json -

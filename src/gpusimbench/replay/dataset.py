@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from gpusimbench.recorder.demonstrations.data_set import DataSet
-from gpusimbench.replay.origin import Origin, given, told_or_named
+from gpusimbench.replay.origin import Origin, given, same_task, told_or_named
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import UsageError
 
@@ -30,14 +30,15 @@ def converted(source: DataSet, arguments: argparse.Namespace) -> Path:
         raise UsageError(
             f"{source.path} was made with the wrappers {', '.join(told.wrappers)}: give --env to go without them"
         )
-    origin = told_or_named(str(source.path), Origin(told.spec_id, told.keywords), arguments.env, named, "--env")
-    envs = registered(origin.spec_id, origin.keywords, 1)
+    of_file = Origin(told.spec_id, told.keywords, told.vectorization)
+    origin = told_or_named(str(source.path), of_file, arguments.env, named, "--env")
+    envs = registered(origin.spec_id, origin.keywords, 1, vectorization=origin.vectorization)
     try:
         space, dt = envs.single_observation_space, source.dt or step_of(envs)
     finally:
         envs.close()
     with stage("reading the data set"):
-        keywords = told.keywords if origin.spec_id == told.spec_id else None  # those of the original
+        keywords = told.keywords if same_task(origin.spec_id, told.spec_id) else None  # those of the original
         episodes = source.read(arguments.episodes, space)
         write(episodes, path, source, spec_id=origin.spec_id, keywords=keywords, dt=dt)
     return path

@@ -61,10 +61,15 @@ def told_or_named(
     """
     if named is None and (not told.spec_id or ":" in told.spec_id):
         raise UsageError(f"{file} names no environment of Gymnasium's registry: give {ways}")
-    keywords = told.keywords if named is None or named == told.spec_id else {}
+    keywords = told.keywords if named is None or same_task(named, told.spec_id) else {}
     if odd := [name for name, value in keywords.items() if name not in changed and _may_be_a_path(value)]:
         raise UsageError(f"keyword {odd[0]} of {file} may name a file: if you trust it, give --set {odd[0]}=...")
     return Origin(named or told.spec_id, {**keywords, **changed}, told.vectorization)
+
+
+def same_task(named: str, told: str) -> bool:
+    """Whether two ids are of the same task, whichever module one of them asks Gymnasium to import."""
+    return named.rpartition(":")[2] == told.rpartition(":")[2]
 
 
 def _may_be_a_path(value: Any) -> bool:

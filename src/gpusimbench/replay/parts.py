@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import zlib
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,16 @@ from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.fields import GIVEN, field_of
 from gpusimbench.recorder.vector.infos import array_name
+from gpusimbench.recorder.vector.origin import STATED, SUITED, VECTORIZED
 from gpusimbench.recorder.vector.part import ACTION, Part, State
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
 from gpusimbench.schemas.fields import ENV
-from gpusimbench.schemas.vector import PHYSICS, SEEDS
+from gpusimbench.schemas.vector import MODELS, PHYSICS, SEEDS
 
 _FROM = re.compile(r"recorded from (bool|u?int(?:8|16|32|64)|float16)\b")
-_INFO = "info_"
+_MOST_OF_MODELS = 1 << 30  # bytes of their texts
+_INFO, _OBSERVATION = "info_", "observation"
+_PHYSICS = (f"{PHYSICS}qpos", f"{PHYSICS}qvel")
 
 
 def seed_of(recording: Recording) -> Any:
@@ -62,14 +66,15 @@ def parts_of(recording: Recording) -> list[list[Part]]:
         for one in recording.fields
         if one.group == ENV and one.field.startswith(ACTION)
     }
-    seeds, states = _seeds(recording), _states(recording)
+    seeds, states, models = _seeds(recording), _states(recording), _models(recording)
     parts: list[list[Part]] = [[] for _ in range(recording.configuration.n_env)]
     for episode in episodes(recording):
         env, number = episode.env, episode.number
         if number != len(parts[env]):
             raise NothingComparable(f"{recording.path}: episodes of environment {env} are missing")
         actions = {name: array.astype(dtypes[name]) for name, array in episode.actions.items()}
-        parts[env].append(Part(actions, seeds.get((env, number)), states.get((env, number))))
+        at = (env, number)
+        parts[env].append(Part(actions, seeds.get(at), states.get(at), models.get(at)))
     if not any(parts):
         raise NothingComparable(f"{recording.path} has no step of an episode")
     return parts
@@ -88,13 +93,41 @@ def _seeds(recording: Recording) -> dict[tuple[int, int], int]:
     return {key: seed for key, seed in found.items() if seed is not None}
 
 
-def _states(recording: Recording) -> dict[tuple[int, int], State]:
-    """MuJoCo's state at the first observation of each episode, where the recording has it."""
-    names = {field.field for field in recording.fields if field.group == ENV}
-    if not {f"{PHYSICS}qpos", f"{PHYSICS}qvel"} <= names:
+def _models(recording: Recording) -> dict[tuple[int, int], str]:
+    """MJCF of the model in which an episode begins, by environment and number, where it has one of its own."""
+    packed = recording.attachment(MODELS)
+    if packed is None:
         return {}
+    try:
+        unpacking = zlib.decompressobj(wbits=31)  # of gzip
+        text = unpacking.decompress(packed, _MOST_OF_MODELS)
+        if not unpacking.eof:
+            raise ValueError
+        told = json.loads(text)
+        found = {
+            (env, number): told["models"][model]
+            for env, of_env in enumerate(told["episodes"])
+            for number, model in enumerate(of_env)
+            if model is not None
+        }
+        if not all(isinstance(model, str) for model in found.values()):
+            raise ValueError
+    except (ValueError, TypeError, LookupError, RecursionError, zlib.error):
+        raise DamagedRecording(f"{recording.path}: {MODELS} has something else than models") from None
+    return found
+
+
+def _states(recording: Recording) -> dict[tuple[int, int], State]:
+    """The state at the first observation of each episode, where the recording has it."""
+    of_envs = [field.field for field in recording.fields if field.group == ENV]
+    if recording.configuration.options.get(VECTORIZED) in (STATED, SUITED):
+        names = [name for name in of_envs if name.startswith(_OBSERVATION)]
+    else:
+        names = [name for name in _PHYSICS if name in of_envs]
+        if len(names) < len(_PHYSICS):
+            return {}
     table = episode_table(recording)
-    rows = rows_of(recording, (f"{PHYSICS}qpos", f"{PHYSICS}qvel"), table.env, table.first_row)
+    rows = rows_of(recording, names, table.env, table.first_row)
     return {
         (int(env), int(number)): {name.removeprefix(PHYSICS): array[i] for name, array in rows.items()}
         for i, (env, number) in enumerate(zip(table.env, table.number, strict=True))
