@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from functools import cached_property
 from itertools import groupby
 from operator import itemgetter
@@ -219,3 +220,7 @@ class Container:
         Of a file that was opened through its summary, also that nothing lies beside what the summary says.
         """
         verify(self._contents)
+
+    def verified(self) -> AbstractContextManager[None]:
+        """Behind `verify`, while content is read whose digests are held against others: no CRC is computed again."""
+        return self._chunks.checked()
