@@ -68,7 +68,8 @@ def _count(size: int) -> None:
         _seen += size
         now = _ask(_seen)
     if now:  # whoever waits for the hashes does not wait for numba; the end of the process does
-        threading.Thread(target=_compile, name="compiling", daemon=False).start()
+        with suppress(RuntimeError):  # the system has no thread left, or the process ends
+            threading.Thread(target=_compile, name="compiling", daemon=False).start()
 
 
 def _ask(size: int) -> bool:
