@@ -82,7 +82,7 @@ def _ask(size: int) -> bool:
 
 def _compile() -> None:
     global _compiled
-    with suppress(ImportError):  # Pythons of engines have no numba
+    with suppress(ImportError, OSError, MemoryError):  # Pythons of engines have no numba; hashes by numpy are the same
         from gpusimbench.schemas.fingerprint_compiled import add_hashes
 
         _compiled = add_hashes
