@@ -150,6 +150,8 @@ class Assembler(ABC):
         self._waiting_bytes += message.size
         if self._waiting_bytes >= CHUNK_BYTES:
             self._end_chunk()
+            if parts is not data:  # whoever gives parts flushes soon
+                self._hand_over()
 
     def flush(self) -> None:
         """Write the open chunk and what is held back, so that a crash loses nothing that was added."""
