@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.arguments import parser
-from benchmarks.machine import machine, spread
+from benchmarks.machine import machine, spread, thread_seconds
 from gpusimbench.recorder.capture import work_process
 from gpusimbench.recorder.capture.ranges import steps_per_block
 from gpusimbench.recorder.capture.sink import Sink
@@ -47,21 +47,14 @@ class Calls(NamedTuple):
 def calls(until: threading.Event, found: list[Calls]) -> None:
     """Make calls of C, each with some Python, until the event."""
     call = ctypes.CDLL(None).getppid
-    schedule = Path(f"/proc/self/task/{threading.get_native_id()}/schedstat")
-    began, count, before = time.perf_counter(), 0, _scheduled(schedule)
+    began, count, before = time.perf_counter(), 0, sum(thread_seconds())
     while not until.is_set():
         for _ in range(_ALIKE):
             call()
             sum(range(300))
         count += _ALIKE
     lasted = time.perf_counter() - began
-    found.append(Calls(count, lasted, lasted - (_scheduled(schedule) - before)))
-
-
-def _scheduled(schedule: Path) -> float:
-    """Seconds that a thread ran, or waited for a processor."""
-    ran, waited, _ = map(int, schedule.read_text().split())
-    return (ran + waited) / 1e9
+    found.append(Calls(count, lasted, lasted - (sum(thread_seconds()) - before)))
 
 
 def beside(work: Callable[[], None]) -> Calls:

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.arguments import parser
-from benchmarks.machine import machine, spread
+from benchmarks.machine import machine, spread, thread_seconds
 from gpusimbench import open_recording, wrap
 
 TASKS = {
@@ -43,14 +43,15 @@ Times = np.ndarray[Any, np.dtype[np.float64]]
 
 
 def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Times, Any]:
-    """What it takes by the clock, and of the process on all cores [s], shape [2]; and what it returns."""
-    begin, worked = time.perf_counter(), time.process_time()
+    """What it takes [s], and what it returns: by the clock, of the process on all cores, and how long this thread ran
+    and waited for a processor, shape [4]."""
+    before = np.array([time.perf_counter(), time.process_time(), *thread_seconds()])
     returned = function(*arguments)
-    return np.array([time.perf_counter() - begin, time.process_time() - worked]), returned
+    return np.array([time.perf_counter(), time.process_time(), *thread_seconds()]) - before, returned
 
 
 class Round(NamedTuple):
-    """Of the bare and of the wrapped environments: seconds of steps but the first and of closing, and of CPUs.
+    """Of the bare and of the wrapped environments: of `timed`, all steps but the first and closing.
 
     beginning  how much longer the first step of the wrapped environments took [s]
     closing    of the wrapped environments [s]
@@ -71,7 +72,7 @@ def one_round(task: str, n_env: int, steps: int, path: Path, seed: int) -> Round
     for envs in pair:
         envs.reset(seed=seed)
     pair[0].action_space.seed(seed)
-    spent, firsts = [np.zeros(2), np.zeros(2)], [0.0, 0.0]
+    spent, firsts = [np.zeros(4), np.zeros(4)], [0.0, 0.0]
     last: list[Any] = [None, None]
     for step in range(steps):
         action = pair[0].action_space.sample()
@@ -98,7 +99,7 @@ def functional_round(task: Any, n_env: int, steps: int, path: Path, seed: int, *
     shape = (steps, n_env, task.action_size)
     actions = list(jax.random.uniform(jax.random.PRNGKey(seed), shape, minval=-1, maxval=1))
     keys = jax.random.split(jax.random.PRNGKey(seed + 1), n_env)
-    spent, firsts = [np.zeros(2), np.zeros(2)], [0.0, 0.0]
+    spent, firsts = [np.zeros(4), np.zeros(4)], [0.0, 0.0]
     last: list[Any] = [None, None]
     closing = 0.0
 
@@ -155,6 +156,9 @@ def main() -> None:
     print(f"bare [ms / step]  {spread([one.bare[0] / (a.steps - 1) * 1e3 for one in found])}")
     print(f"wrapped / bare    {spread([one.wrapped[0] / one.bare[0] for one in found])}")
     print(f"of CPU time       {spread([one.wrapped[1] / one.bare[1] for one in found])}")
+    for word, at in (("ran", 2), ("waited", 3)) if functional else ():
+        print(f"stepping {word:<9}{spread([one.wrapped[at] / one.bare[0] for one in found])}, of the bare time; bare "
+              f"{spread([one.bare[at] / one.bare[0] for one in found])}")  # fmt: skip
     print(f"without closing   {spread([(one.wrapped[0] - one.closing) / one.bare[0] for one in found])}")
     print(f"closing [s]       {spread([one.closing for one in found])}")
     print(f"beginning [s]     {spread([one.beginning for one in found])}")

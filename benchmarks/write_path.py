@@ -1,6 +1,9 @@
 """The host's write path (hashes, digests, CRCs, file) against os.write and CRC-32 of the same bytes, in turn.
 
-usage: python -m benchmarks.write_path [--repeats 7] [--n-env 64] [--megabytes 1000]
+usage: python -m benchmarks.write_path [--repeats 7] [--n-env 64] [--megabytes 1000] [--rows cubes|mjx] [--alone]
+
+Rows are states of 28 cubes, or what gpusimbench.wrap records of the MJX task of benchmarks/wrap_overhead.py. With
+--alone one thread does all work, as wrap has it beside a device.
 
 From 1 GB on, state hashes are compiled, as in a capture of that size. Rates by the clock depend on what else the
 machine does; the CPU time for each byte, of all threads, depends on it less. With at least four processors, another
@@ -10,10 +13,12 @@ process does most of the work: its CPU time counts, and the time until it has st
 from __future__ import annotations
 
 import os
+import resource
 import tempfile
 import time
 import zlib
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -23,13 +28,26 @@ from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
-from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_field
+from gpusimbench.recorder.capture.workers import alone
+from gpusimbench.schemas.fields import BODY_FIELDS, StateField, array_field, body_field
 from gpusimbench.schemas.fingerprint import expect, fingerprint
 
 _BLOCK = 50
 _BLOCKS = 4  # that differ
 
-Blocks = list[list[NDArray[np.float32]]]
+_MJX = {"observation": 29, "action": 8, "reward": 1, "terminated": 1, "truncated": 1, "final_observation": 29,
+        "final_given": 1, "stepped": 1}  # fmt: skip
+_MJX_COUNTS = ("episode", "episode_step")  # float64
+
+Blocks = list[list[NDArray[np.floating]]]
+
+
+def fields_of(rows: str) -> list[StateField]:
+    """The fields of the rows that are named."""
+    if rows == "mjx":
+        numbers = [array_field(name, "float32", (width,)) for name, width in _MJX.items()]
+        return [*numbers, *(array_field(name, "float64", ()) for name in _MJX_COUNTS)]
+    return [body_field("cubes", name, "float32", tuple(map(str, range(28)))) for name in BODY_FIELDS]
 
 
 def ours(path: Path, blocks: Blocks, fields: list[StateField], n_env: int) -> float:
@@ -66,15 +84,24 @@ def hashed(blocks: Blocks) -> float:
     return time.perf_counter() - began
 
 
+def cpu_seconds() -> float:
+    """CPU time of this process and of those that it started and that have ended."""
+    used = [resource.getrusage(of) for of in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
 def main() -> None:
     """Measure and print."""
     p = parser(__doc__, repeats=7, n_env=64)
     p.add_argument("--megabytes", type=int, default=1000, help="of states, at least")
+    p.add_argument("--rows", choices=("cubes", "mjx"), default="cubes")
+    p.add_argument("--alone", action="store_true", help="one thread does all work")
     a = p.parse_args()
-    fields = [body_field("cubes", name, "float32", tuple(map(str, range(28)))) for name in BODY_FIELDS]
+    fields = fields_of(a.rows)
     rng = np.random.default_rng(0)
-    blocks = [
-        [rng.standard_normal((_BLOCK, a.n_env, 28, f.width), dtype=np.float32) for f in fields] for _ in range(_BLOCKS)
+    blocks: Blocks = [
+        [rng.standard_normal((_BLOCK, a.n_env, len(f.items), f.width)).astype(f.dtype) for f in fields]
+        for _ in range(_BLOCKS)
     ]
     blocks *= -(-a.megabytes * 10**6 // sum(state.nbytes for states in blocks for state in states))
     size = sum(state.nbytes for states in blocks for state in states)
@@ -91,9 +118,10 @@ def main() -> None:
         }
         for _ in range(a.repeats):
             for what, run in work.items():
-                worked = sum(os.times()[:4])  # of processes that have ended, too
-                times[what].append(run())
-                work_of_cores[what].append((sum(os.times()[:4]) - worked) / size * 1e9)
+                worked = cpu_seconds()
+                with alone() if a.alone else nullcontext():
+                    times[what].append(run())
+                work_of_cores[what].append((cpu_seconds() - worked) / size * 1e9)
                 for written in (path, partial):
                     written.unlink(missing_ok=True)
     print(f"machine                                     {machine()}")

@@ -58,8 +58,14 @@ class ContentDigest:
         self._hashes[attachment_name(name)] = hashlib.sha256(data)
 
     def state(self, field: StateField, n_env: int, array: NDArray[Any]) -> None:
-        """Add the next rows [step, env, item, width] of a field, all environments."""
-        self.state_columns(field, n_env, [array])
+        """Add the next rows [step, env, item, width] of a field, all environments.
+
+        Rows that do not lie one behind the other are copied together, a megabyte at a time.
+        """
+        digest = self._of(field, n_env)
+        together = len(array) if array.flags.c_contiguous else max(1, _GATHERED_BYTES // max(1, array[:1].nbytes))
+        for begin in range(0, len(array), max(1, together)):
+            digest.update(raw_bytes(little_endian(array[begin : begin + together])))
 
     def state_columns(self, field: StateField, n_env: int, columns: Sequence[NDArray[Any]]) -> None:
         """The same, of rows that are cut into ranges of environments, in their order.

@@ -255,7 +255,8 @@ class Recording(Described):
         if self._end is None:
             return
         claimed = dict(self._end.digests)
-        found = self._recompute().digests()
+        with self._container.verified():
+            found = self._recompute().digests()
         for name in sorted(claimed.keys() | found.keys()):
             if claimed.get(name) != found.get(name):
                 what = "is missing" if name not in found else "was added" if name not in claimed else "was changed"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
@@ -121,6 +121,12 @@ class Sink:
         """
         with self._disk():
             self._message(topic, parts, EPOCH_NS + sim_ns)
+
+    def write_together(self, topic_names: Iterable[str], messages: Iterable[Sequence[Part]], *, sim_ns: int) -> None:
+        """The same of one message of each topic, in this order, as each comes."""
+        with self._disk():
+            for topic, parts in zip(topic_names, messages, strict=True):
+                self._message(topic, parts, EPOCH_NS + sim_ns)
 
     def place(self, topic_names: Sequence[str], size: int) -> Place | None:
         """Where records of one message of each topic, in this order, would begin; None where they cannot be appended.

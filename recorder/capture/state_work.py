@@ -38,11 +38,13 @@ class Read(NamedTuple):
     first_step  of the first of them
     groups      numbers of ranges of one size
     states      theirs, [range, row, env, item, width]
+    whole       the same of all environments, [row, env, item, width]; empty where they do not lie so
     """
 
     first_step: int
     groups: Sequence[range]
     states: Sequence[Arrays]
+    whole: Arrays = ()
 
 
 class Stored(NamedTuple):
@@ -53,6 +55,7 @@ class Stored(NamedTuple):
     side_by_side  the same for each of Ranges.alike, [range, row, env, item, width]; empty where they do not lie so
     memory        number of the memory that they lie in, where a process works on them
     place         of their messages in the file, if their records can be made beforehand
+    whole         the same of all environments, [row, env, item, width]; empty where they do not lie so
     """
 
     first_step: int
@@ -60,6 +63,7 @@ class Stored(NamedTuple):
     side_by_side: Sequence[Arrays] = ()
     memory: int = 0
     place: Place | None = None
+    whole: Arrays = ()
 
 
 class Begun(NamedTuple):
@@ -181,7 +185,9 @@ class StateWork:
 
     def _digest(self, index: int, stored: Stored) -> None:
         field, n_env = self._fields[index], self._ranges.n_env
-        if stored.side_by_side:
+        if stored.whole:
+            self._sha256.state(field, n_env, stored.whole[index])
+        elif stored.side_by_side:
             self._sha256.state_ranges(field, n_env, [states[index] for states in stored.side_by_side])
         else:
             self._sha256.state_columns(field, n_env, [states[index] for states in stored.columns])

@@ -242,7 +242,8 @@ class StateWriter:
                 together = self._memory.side_by_side(slice(rows))
         # a process makes the records, too
         place = self._sink.place(self._topics, columns[0][0].nbytes) if self._process is not None else None
-        stored = Stored(self._held_first, columns, together, READ if as_read else HELD, place)
+        whole = read.whole if as_read and read is not None else ()
+        stored = Stored(self._held_first, columns, together, READ if as_read else HELD, place, whole)
         return _Writing(
             first_row=self._held_first // self._stride,
             columns=columns,
@@ -261,8 +262,7 @@ class StateWriter:
         for records in writing.begun.records:
             self._sink.append(self._topics, records)
         if not writing.begun.records:
-            for topic, parts in zip(self._topics, writing.begun.blocks, strict=True):
-                self._sink.write_parts(topic, parts, sim_ns=writing.time)
+            self._sink.write_together(self._topics, writing.begun.blocks, sim_ns=writing.time)
         self._sink.flush()  # small ones wait for others, and their arrays are not theirs for much longer
         for _ in writing.begun.digesting:
             pass
@@ -273,7 +273,8 @@ class StateWriter:
             groups = self._ranges.alike
             return Read(first, groups, [self._read(block, group) for group in groups])
         groups = self._ranges.groups()
-        return Read(first, groups, list(self.workers.start(lambda group: self._read(block, group), groups)))
+        states = list(self.workers.start(lambda group: self._read(block, group), groups))
+        return Read(first, groups, states, block.states(slice(None)) if isinstance(block, Held) else ())
 
     def _read(self, block: Captured, ranges: range) -> States:
         # [range, step, env, item, width]

@@ -134,7 +134,9 @@ class Assembler(ABC):
         log_time, publish_time  [ns]
         """
         parts = [Part(data)] if isinstance(data, (bytes, bytearray, memoryview)) else data
-        size = sum(len(part.data) for part in parts)
+        size = 0
+        for part in parts:
+            size += len(part.data)
         head = _MESSAGE_HEAD.pack(Op.MESSAGE, 22 + size, channel, sequence, log_time, publish_time)
         message = _Message(channel, log_time, head, parts, len(head) + size)
         self._counts[channel] = self._counts.get(channel, 0) + 1
@@ -147,7 +149,9 @@ class Assembler(ABC):
         self._waiting.append(message)
         self._waiting_bytes += message.size
         if self._waiting_bytes >= CHUNK_BYTES:
-            self.flush()
+            self._end_chunk()
+            if parts is not data:  # whoever gives parts flushes soon
+                self._hand_over()
 
     def flush(self) -> None:
         """Write the open chunk and what is held back, so that a crash loses nothing that was added."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from functools import cached_property
 from itertools import groupby
 from operator import itemgetter
@@ -221,3 +222,7 @@ class Container:
         moved  see `schemas.mcap.verify`
         """
         verify(self._contents, moved)
+
+    def verified(self) -> AbstractContextManager[None]:
+        """Behind `verify`, while content is read whose digests are held against others: no CRC is computed again."""
+        return self._chunks.checked()

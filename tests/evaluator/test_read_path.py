@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.read import state_array
 from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, decode_state, state_header, state_header_in
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.mcap import chunks
 from gpusimbench.schemas.mcap.crc import second
 from gpusimbench.schemas.source import MappedFile
 from tests.encoded import encode_state
@@ -108,6 +110,39 @@ def test_damage_is_found_in_threads(tmp_path: Path, compression: str, monkeypatc
     with pytest.raises(DamagedRecording, match="damaged|CRC"):  # also when it is asked for again
         np.asarray(states)
     assert states[0].shape == (130, 27, 3)
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_each_byte_has_one_crc_when_verified(tmp_path: Path, compression: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compute no CRC of a chunk a second time while its content is digested, and refuse bytes changed in between."""
+    final = np.random.default_rng(1).standard_normal((130, 27, 3))
+    path = write_recording(tmp_path, final, steps=70, compression=compression)
+    summed: list[int] = []
+    monkeypatch.setattr(
+        chunks, "zlib", SimpleNamespace(crc32=lambda data: summed.append(len(data)) or zlib.crc32(data))
+    )
+    open_recording(path).check_digests()
+    recording = open_recording(path)
+    container = recording._container
+    assert 0 < sum(summed) <= 1.01 * sum(chunk.uncompressed_size for chunk in container.chunks)
+    hit = container.chunks[container.messages("/state/cubes/position/000000")[1].chunk]
+    verify = container.verify
+
+    def verify_and_change() -> None:
+        verify()
+        with path.open("r+b") as stream:
+            stream.seek((hit.begin + hit.end) // 2)
+            byte = stream.read(1)[0]
+            stream.seek(-1, 1)
+            stream.write(bytes([byte ^ 4]))
+
+    monkeypatch.setattr(container, "verify", verify_and_change)
+    with pytest.raises(DamagedRecording, match=r"damaged|was changed since|state hash"):
+        recording.check_digests()
+    with pytest.raises(DamagedRecording, match="damaged|CRC"):  # as everywhere else
+        np.asarray(open_recording(path).state("cubes", "position"))
+    with pytest.raises(DamagedRecording, match="damaged|CRC"):
+        np.asarray(recording.state("cubes", "position"))
 
 
 def test_threads_share_their_memory(columns: Path, monkeypatch: pytest.MonkeyPatch) -> None:

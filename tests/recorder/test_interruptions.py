@@ -46,7 +46,7 @@ print(outcome.status, outcome.reason)
 '''
 
 
-@pytest.mark.parametrize("kind", ["attachment", "message", "state_ranges"])
+@pytest.mark.parametrize("kind", ["attachment", "message", "state"])
 def test_digests_and_bytes_go_together(tmp_path: Path, kind: str) -> None:
     """Verify after an interruption between the digest of something and its writing."""
     path = tmp_path / "x.mcap"

@@ -185,7 +185,7 @@ from gpusimbench.recorder.run.run import Run
 from gpusimbench.schemas import digest
 from gpusimbench.schemas.configuration import RunConfiguration
 
-original, calls = digest.ContentDigest.state_ranges, []
+original, calls = digest.ContentDigest.state, []
 
 def slow(self, *arguments):
     original(self, *arguments)
@@ -193,7 +193,7 @@ def slow(self, *arguments):
     if len(calls) == 4:
         time.sleep(4)
 
-digest.ContentDigest.state_ranges = slow
+digest.ContentDigest.state = slow
 configuration = RunConfiguration("mujoco", "free-fall", 70, 0.01, 200, phases=("capture",), timeout=3)
 outcome = Run(configuration, Path(sys.argv[1]), run_id="r", argv=(), created="2026-01-01T00:00:00Z",
               progress=lambda *_: None, log=lambda: b"").record()

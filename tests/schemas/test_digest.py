@@ -52,6 +52,17 @@ def test_ranges_side_by_side_are_those_of_the_whole_array(
     assert digest.digests()[state_name(field)] == expected.hexdigest()
 
 
+@given(st.integers(1, 20), st.integers(1, 300), st.integers(0, 9), st.sampled_from([1, 3, 900]), st.sampled_from("<>"))
+def test_rows_with_gaps_are_those_without(rows: int, envs: int, gap: int, width: int, order: str) -> None:
+    """Rows of an array that lie apart in one that holds others, too, less and more than is copied at once."""
+    field, digest, rows = field_of(width), ContentDigest(), min(rows, len(BITS) // (envs * width + gap))
+    around = BITS[: rows * (envs * width + gap)].view("<f4").reshape(rows, -1).astype(f"{order}f4")
+    digest.state(field, envs, around[:, gap:].reshape(rows, envs, 1, width))
+    whole = around[:, gap:].astype("<f4").tobytes()
+    expected = hashlib.sha256(f"{field.dtype} {envs} 1 {width}\n".encode() + whole)
+    assert digest.digests()[state_name(field)] == expected.hexdigest()
+
+
 def test_ranges_side_by_side_take_a_call_a_megabyte(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let go of the interpreter's lock once a megabyte: a thread that launches kernels waits whenever it is taken."""
     sizes: list[int] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,8 @@ def test_different_leading_shapes_are_refused() -> None:
 def nothing_expected(monkeypatch: pytest.MonkeyPatch) -> None:
     """A process that was not told of any states yet."""
     monkeypatch.setattr(module, "_expected", 0)
+    monkeypatch.setattr(module, "_seen", 0)
+    monkeypatch.setattr(module, "_asked", False)
     monkeypatch.setattr(module, "_compiled", None)
 
 
@@ -99,6 +102,43 @@ def test_compiled_hashes_are_the_same(dtype: Any) -> None:
     assert np.array_equal(fingerprint(fields), before)
     words = fields[0][1, 7].reshape(-1).view({4: np.uint32, 8: np.uint64}[np.dtype(dtype).itemsize])
     assert int(fingerprint([fields[0][1, 7]])) == _reference(words.tolist())
+
+
+@pytest.mark.usefixtures("nothing_expected")
+def test_compiled_once_many_were_hashed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compile the hashes once many states were hashed, though nobody announced them, and give the same bits."""
+    monkeypatch.setattr(module, "COMPILED_BYTES", 4000)
+    state = np.random.default_rng(4).standard_normal((3, 50, 5, 1)).astype(np.float32)  # 3000 bytes
+    before = fingerprint([state])
+    assert not module._asked
+    while_loading = fingerprint([state])
+    loading = [thread for thread in threading.enumerate() if thread.name == "compiling"]
+    assert module._asked
+    for thread in loading:
+        thread.join()
+    assert module._compiled is not None
+    assert np.array_equal(fingerprint([state]), before)
+    assert np.array_equal(while_loading, before)
+
+
+_SHAPES = st.tuples(st.integers(1, 4), st.integers(1, 40), st.lists(st.integers(1, 90), min_size=1, max_size=4))
+
+
+@given(_SHAPES, st.sampled_from([np.float32, np.float64]), st.integers(0, 2**32 - 1))
+def test_compiled_as_numpy(shape: tuple[int, int, list[int]], dtype: Any, seed: int) -> None:
+    """Give the same bits by machine code and by numpy, of fields of any width and of any bits."""
+    from gpusimbench.schemas.fingerprint_compiled import add_hashes
+
+    steps, envs, widths = shape
+    rng = np.random.default_rng(seed)
+    size = np.dtype(dtype).itemsize
+    fields = [rng.bytes(steps * envs * width * size) for width in widths]
+    arrays = [np.frombuffer(f, dtype).reshape(steps, envs, w, 1) for f, w in zip(fields, widths, strict=True)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_compiled", None)
+        by_numpy = fingerprint(arrays)
+        patch.setattr(module, "_compiled", add_hashes)
+        assert np.array_equal(fingerprint(arrays), by_numpy)
 
 
 @pytest.mark.usefixtures("nothing_expected")
