@@ -82,7 +82,9 @@ def _ask(size: int) -> bool:
 
 def _compile() -> None:
     global _compiled
-    with suppress(ImportError, OSError, MemoryError):  # Pythons of engines have no numba; hashes by numpy are the same
+    # Pythons of engines have no numba, and a broken numba, or its cache, raises errors of any kind; hashes by numpy are
+    # the same, and no recording is lost for want of faster ones
+    with suppress(Exception):
         from gpusimbench.schemas.fingerprint_compiled import add_hashes
 
         _compiled = add_hashes
