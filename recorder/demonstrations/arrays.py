@@ -25,13 +25,15 @@ _HEAP, _HEADER = b"GCOL\x01\0\0\0", 16  # of a heap; bytes before its objects, a
 def opened_file(path: Path) -> Iterator[Any]:
     """The file, as h5py has it.
 
-    UsageError where h5py is not installed; NotARecording where the file is not HDF5, DamagedRecording where h5py cannot
-    read what is asked of it.
+    UsageError where h5py is not installed; NotARecording where the file is not HDF5, or a pipe or a device, which h5py
+    may wait for for ever; DamagedRecording where h5py cannot read what is asked of it.
     """
     try:
         import h5py
     except ImportError:
         raise UsageError("data sets in HDF5 need h5py: pip install h5py") from None
+    if path.exists() and not path.is_file():
+        raise NotARecording(f"{path} is not a file")
     try:
         file = h5py.File(path, "r")
     except OSError as error:
@@ -78,6 +80,23 @@ def member(path: Path, group: Any, name: str) -> Any:
     if isinstance(group, h5py.Dataset) and (group.external or group.is_virtual or group.nbytes > _MOST_BYTES):
         raise DamagedRecording(f"{path}: {name} lies in another file, or is too large")
     return group
+
+
+def has(group: Any, name: str) -> bool:
+    """Whether a group has a member of this name, or a link, also on the way to it: `member` refuses that.
+
+    No link is followed, and no other file opened.
+    """
+    import h5py
+
+    *folders, last = name.split("/")
+    for folder in folders:
+        if isinstance(group.get(folder, getlink=True), (h5py.ExternalLink, h5py.SoftLink)):
+            return True
+        if not is_group(group, folder):
+            return False
+        group = group[folder]
+    return group.get(last, getlink=True) is not None
 
 
 def is_group(file: Any, name: str) -> bool:
