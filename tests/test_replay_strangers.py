@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpusimbench import NotARecording
-from tests.test_replay_maniskill import found_at
+from gpusimbench import DamagedRecording, NotARecording
+from gpusimbench.schemas.provenance import MAX_FIELDS
+from tests.hostile.reading import in_time
+from tests.test_replay_maniskill import found_at, written
 
 h5py = pytest.importorskip("h5py")
 
@@ -59,3 +61,68 @@ def test_what_is_no_file(tmp_path: Path) -> None:
                 found_at(tmp_path / name).read(None, None)
     finally:
         os.close(writer)
+
+
+@pytest.mark.parametrize("length", [1, 3])
+def test_infos_of_another_length(length: int, tmp_path: Path) -> None:
+    """Refuse success of fewer steps than the episode has; of one, it stood for all steps."""
+    file = written(tmp_path / "a")
+    with h5py.File(file, "r+") as groups:
+        del groups["traj_0/success"]
+        groups["traj_0/success"] = np.ones(length, bool)
+    with pytest.raises(DamagedRecording, match=rf"success of an episode of 4 steps has the shape \({length},\)"):
+        found_at(file).read(None, None)
+
+
+@pytest.mark.parametrize("member", ["actions", "env_states/actors/cube"])
+def test_arrays_that_were_never_written(member: str, tmp_path: Path) -> None:
+    """Refuse an array of gigabytes in a file of kilobytes, before memory is taken for it."""
+    file = written(tmp_path / "a")
+    with h5py.File(file, "r+") as groups:
+        del groups[f"traj_0/{member}"]
+        groups.create_dataset(f"traj_0/{member}", (4, 200_000_000), np.float32, chunks=(1, 1_000_000))
+    with pytest.raises(DamagedRecording, match="has 3200000000 bytes, most of which were never"):
+        found_at(file).read(None, None)
+
+
+def test_zeros_that_were_packed(tmp_path: Path) -> None:
+    """Read an array that packs as well as any does: zeros."""
+    file = written(tmp_path / "a")
+    with h5py.File(file, "r+") as groups:
+        del groups["traj_0/env_states/actors/cube"]
+        zeros = np.zeros((5, 1 << 20), np.float32)  # 20 MiB
+        array = groups.create_dataset(
+            "traj_0/env_states/actors/cube", data=zeros, compression="gzip", chunks=(1, 1 << 20)
+        )
+        assert array.id.get_storage_size() < zeros.nbytes // 900
+    observations = found_at(file).read(1, None)[0].observations
+    assert observations["observation/actors/cube"].shape == zeros.shape
+
+
+def test_groups_without_end(tmp_path: Path) -> None:
+    """Refuse groups that have several names, of which a small file can make any number of paths, and a cycle."""
+    file = written(tmp_path / "a")
+    with h5py.File(file, "r+") as groups:
+        group = groups["traj_0/env_states/actors"]
+        for _ in range(6):
+            inner = group.create_group("0")
+            for name in range(1, 40):
+                group[str(name)] = inner
+            group = inner
+    with in_time(), pytest.raises(DamagedRecording, match="1 is there under another name, too"):
+        found_at(file).read(None, None)
+    cycle = written(tmp_path / "b")
+    with h5py.File(cycle, "r+") as groups:
+        groups["traj_0/env_states/actors/again"] = groups["traj_0/env_states"]
+    with pytest.raises(DamagedRecording, match="again is there under another name, too"):
+        found_at(cycle).read(None, None)
+
+
+def test_more_arrays_than_a_recording_has(tmp_path: Path) -> None:
+    """Refuse states of more arrays than are read of a recording, and say so before one is written."""
+    file = written(tmp_path / "a")
+    with h5py.File(file, "r+") as groups:
+        for number in range(MAX_FIELDS - 1):
+            groups[f"traj_0/env_states/{number}"] = np.zeros((5, 1), np.float32)
+    with pytest.raises(DamagedRecording, match=f"observation has more than {MAX_FIELDS} arrays"):
+        found_at(file).read(None, None)
