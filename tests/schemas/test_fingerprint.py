@@ -192,3 +192,24 @@ def test_numba_that_compiles_nothing(broken: str, tmp_path: Path) -> None:
             index.write_bytes(index.read_bytes()[:50])
     done = subprocess.run([sys.executable, "-c", _HASH_MANY], env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+_FORK = """
+import os
+import numpy as np
+from gpusimbench.schemas import fingerprint
+
+fingerprint.COMPILED_BYTES = 10
+fingerprint.fingerprint([np.ones((4, 3, 1))])
+child = os.fork()
+if not child:
+    import numba
+    os._exit(0)
+assert os.waitpid(child, 0)[1] == 0
+"""
+
+
+def test_fork_while_numba_is_loaded() -> None:
+    """Let a copy of the process import numba: it would wait for the thread that was loading numba, and lacks it."""
+    done = subprocess.run([sys.executable, "-c", _FORK], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stderr) == (0, "")
