@@ -48,7 +48,7 @@ def expect(size: int) -> None:
     numba is installed, and from a tenth of that on where it is loaded anyway. They are the same."""
     global _fill
     if size >= (COMPILED_BYTES // 10 if "numba" in sys.modules else COMPILED_BYTES):
-        with suppress(ImportError):  # Pythons of engines have no numba
+        with suppress(Exception):  # Pythons of engines have no numba, or a broken one: see schemas.fingerprint
             from gpusimbench.schemas.action_generator_compiled import fill
 
             _fill = fill

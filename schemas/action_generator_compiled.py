@@ -25,6 +25,8 @@ def _fill(words: Any, joint: Any, first: Any, count: Any, grid: Any, rows: Any) 
 
 
 def _made() -> Callable[..., None]:
+    if numba.config.DISABLE_JIT:  # a loop of Python's own would take a thousand times as long as numpy
+        raise ImportError("numba compiles nothing: NUMBA_DISABLE_JIT is set")
     try:
         made = numba.njit(cache=True, nogil=True)(_fill)
     except RuntimeError:  # neither the folder of this file nor the user's cache can be written to

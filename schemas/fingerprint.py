@@ -13,10 +13,11 @@ digests of the end record are for.
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,9 @@ _MASK = (1 << 64) - 1
 
 COMPILED_BYTES = 1_000_000_000
 """Of states, from which on compiled hashes pay: numpy takes about as long for them as it takes to load numba."""
+
+_LOADING_S = 10.0
+"""That a fork waits at most until the machine code is loaded, which takes 1 to 3 s."""
 
 _of_thread = threading.local()
 _counting = threading.Lock()
@@ -69,7 +73,14 @@ def _count(size: int) -> None:
         now = _ask(_seen)
     if now:  # whoever waits for the hashes does not wait for numba; the end of the process does
         with suppress(RuntimeError):  # the system has no thread left, or the process ends
-            threading.Thread(target=_compile, name="compiling", daemon=False).start()
+            # and logging: their hooks of forks, added while a fork waits, would release what they had not acquired
+            import concurrent.futures.thread  # noqa: F401
+
+            loading = threading.Thread(target=_compile, name="compiling", daemon=False)
+            loading.start()
+            # a copy of the process would wait for ever for modules that a thread, which it lacks, was about to load
+            if hasattr(os, "register_at_fork"):
+                os.register_at_fork(before=partial(loading.join, _LOADING_S))
 
 
 def _ask(size: int) -> bool:
@@ -82,7 +93,9 @@ def _ask(size: int) -> bool:
 
 def _compile() -> None:
     global _compiled
-    with suppress(ImportError, OSError, MemoryError):  # Pythons of engines have no numba; hashes by numpy are the same
+    # Pythons of engines have no numba, and a broken numba, or its cache, raises errors of any kind; hashes by numpy are
+    # the same, and no recording is lost for want of faster ones
+    with suppress(Exception):
         from gpusimbench.schemas.fingerprint_compiled import add_hashes
 
         _compiled = add_hashes

@@ -28,6 +28,8 @@ def _add_hashes(words: Any, position: Any, total: Any) -> None:
 
 
 def _made() -> Callable[[Any, int, Any], None]:
+    if numba.config.DISABLE_JIT:  # a loop of Python's own would take a thousand times as long as numpy
+        raise ImportError("numba compiles nothing: NUMBA_DISABLE_JIT is set")
     try:
         made = numba.njit(cache=True, nogil=True)(_add_hashes)
     except RuntimeError:  # neither the folder of this file nor the user's cache can be written to

@@ -12,7 +12,7 @@ from urllib.parse import quote, unquote
 
 _WEB = ("http", "https")
 _CHAINED = re.compile(r"::(?=[a-z][a-z0-9+.-]*://)", re.IGNORECASE)  # as in zip://a.mcap::https://...
-_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*://\S*", re.IGNORECASE)
+_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]{0,31}://\S*", re.IGNORECASE)  # bounded: texts of strangers may be long
 
 
 class Location:

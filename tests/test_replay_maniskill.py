@@ -135,7 +135,8 @@ def _first(name: str, value: Any) -> Callable[[Any], None]:
     ("change", "said"),
     [
         (_first("episode_id", 5), "has no traj_5"),
-        (_first("episode_id", "0/actions"), "has no traj_0/actions"),
+        (_first("episode_id", "0/actions"), "episode_id that is no integer"),
+        (_first("episode_id", "0\0x"), "episode_id that is no integer"),
         (_first("reset_kwargs", {"seed": -1}), "the seed of traj_0 is no integer of at least 0"),
         (_first("reset_kwargs", {"seed": "../x"}), "the seed of traj_0 is no integer of at least 0"),
         (_first("reset_kwargs", [1]), "traj_0 has no keywords of its reset"),
@@ -149,6 +150,12 @@ def test_metadata_that_cannot_be(change: Callable[[Any], None], said: str, tmp_p
     """Say in a sentence what is wrong with the metadata."""
     with pytest.raises(DamagedRecording, match=said):
         found_at(written(tmp_path / "a", change)).read(None, None)
+
+
+@pytest.mark.parametrize("name", [3, None, "a\nb", "\ud800", "a" * 1000])
+def test_what_is_no_name(name: Any, tmp_path: Path) -> None:
+    """Take no name of a task from what is no line of text: the user has to name the task."""
+    assert found_at(written(tmp_path / "a", lambda told: told["env_info"].update(env_id=name))).made.spec_id == ""
 
 
 @pytest.mark.parametrize("text", ["{", "[" * 100_000, "\x00"])

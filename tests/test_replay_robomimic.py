@@ -92,6 +92,14 @@ def test_what_is_read(collected: bool, tmp_path: Path) -> None:
         assert (success == last).all() and (given == last).all()
 
 
+def test_a_version_that_is_none(tmp_path: Path) -> None:
+    """Name no version where what stands there cannot be written into a recording."""
+    told = json.dumps({**ARGUMENTS, "env_version": "\ud800"})
+    source = found_at(written(tmp_path / "a.hdf5", change=lambda data: data.attrs.update(env_args=told)))
+    assert source.version == "robosuite"
+    write(source.read(None, space()), tmp_path / "a.mcap", source, spec_id="Lift", keywords={}, dt=0.05)
+
+
 def _without(name: str) -> Callable[[Any], None]:
     return lambda data: data["demo_9"].attrs.__delitem__(name)
 
@@ -117,6 +125,8 @@ def _other(name: str, value: Any) -> Callable[[Any], None]:
         (_other("rewards", np.ones((6, 2))), "rewards have the shape"),
         (lambda data: data.attrs.update(env_args="{"), "what it says of its environment is no JSON"),
         (lambda data: data.attrs.update(env_args="[1]"), "what it says of its environment is no JSON"),
+        (lambda data: data.attrs.update(env_args='[["env_name", "x"]]'), "what it says of its environment is no JSON"),
+        (lambda data: data.attrs.update(env_args='{"env_kwargs": [[1, 2]]}'), "what it says of its environment is no"),
         (lambda data: [data.__delitem__(name) for name in list(data)], "has no episodes"),
     ],
 )

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, UsageError
+from gpusimbench.schemas.provenance import MAX_FIELDS
 
 SUFFIXES = (".hdf5", ".h5")
 
 _MOST_BYTES = 16 << 30  # of an array, which a small file can claim to have
+_SPARSE_BYTES, _PACKED = 16 << 20, 1 << 12  # a larger array takes a byte of its file for so many of its own at least
 _DEEPEST = 8
 _HEAP, _HEADER = b"GCOL\x01\0\0\0", 16  # of a heap; bytes before its objects, and before each of them
 
@@ -25,13 +27,15 @@ _HEAP, _HEADER = b"GCOL\x01\0\0\0", 16  # of a heap; bytes before its objects, a
 def opened_file(path: Path) -> Iterator[Any]:
     """The file, as h5py has it.
 
-    UsageError where h5py is not installed; NotARecording where the file is not HDF5, DamagedRecording where h5py cannot
-    read what is asked of it.
+    UsageError where h5py is not installed; NotARecording where the file is not HDF5, or a pipe or a device, which h5py
+    may wait for for ever; DamagedRecording where h5py cannot read what is asked of it.
     """
     try:
         import h5py
     except ImportError:
         raise UsageError("data sets in HDF5 need h5py: pip install h5py") from None
+    if path.exists() and not path.is_file():
+        raise NotARecording(f"{path} is not a file")
     try:
         file = h5py.File(path, "r")
     except OSError as error:
@@ -75,9 +79,29 @@ def member(path: Path, group: Any, name: str) -> Any:
         if link is None:
             raise DamagedRecording(f"{path} has no {name}")
         group = group[part]
-    if isinstance(group, h5py.Dataset) and (group.external or group.is_virtual or group.nbytes > _MOST_BYTES):
-        raise DamagedRecording(f"{path}: {name} lies in another file, or is too large")
+    if isinstance(group, h5py.Dataset):
+        if group.external or group.is_virtual or group.nbytes > _MOST_BYTES:
+            raise DamagedRecording(f"{path}: {name} lies in another file, or is too large")
+        if group.nbytes > max(_SPARSE_BYTES, _PACKED * group.id.get_storage_size()):
+            raise DamagedRecording(f"{path}: {name} has {group.nbytes} bytes, most of which were never written")
     return group
+
+
+def has(group: Any, name: str) -> bool:
+    """Whether a group has a member of this name, or a link, also on the way to it: `member` refuses that.
+
+    No link is followed, and no other file opened.
+    """
+    import h5py
+
+    *folders, last = name.split("/")
+    for folder in folders:
+        if isinstance(group.get(folder, getlink=True), (h5py.ExternalLink, h5py.SoftLink)):
+            return True
+        if not is_group(group, folder):
+            return False
+        group = group[folder]
+    return group.get(last, getlink=True) is not None
 
 
 def is_group(file: Any, name: str) -> bool:
@@ -98,14 +122,36 @@ def read_array(path: Path, group: Any, name: str) -> NDArray[Any]:
     return found
 
 
-def read_tree(path: Path, group: Any, name: str, called: str, depth: int = 0) -> dict[str, NDArray[Any]]:
-    """The arrays of a member, named as gpusimbench.wrap names those of nested observations."""
-    item = member(path, group, name)
-    if not hasattr(item, "keys"):
-        return {called: read_array(path, group, name)}
-    if depth > _DEEPEST:
-        raise DamagedRecording(f"{path}: {name} is nested too deeply")
+def read_tree(path: Path, group: Any, name: str, called: str) -> dict[str, NDArray[Any]]:
+    """The arrays of a member, named as gpusimbench.wrap names those of nested observations.
+
+    DamagedRecording where a member has several names, so that a small file cannot have members without end; where there
+    are more arrays than a recording may have; where groups are nested deeply.
+    """
     found: dict[str, NDArray[Any]] = {}
-    for key in item:
-        found |= read_tree(path, item, key, f"{called}/{key.removeprefix('_index_')}", depth + 1)
+    seen: set[int] = set()  # addresses in the file
+
+    def add(group: Any, name: str, called: str, depth: int) -> None:
+        item = member(path, group, name)
+        before = len(seen)
+        seen.add(_address(item))
+        if len(seen) == before:
+            raise DamagedRecording(f"{path}: {name} is there under another name, too")
+        if not hasattr(item, "keys"):
+            found[called] = read_array(path, group, name)
+            if len(found) > MAX_FIELDS:
+                raise DamagedRecording(f"{path}: {called.partition('/')[0]} has more than {MAX_FIELDS} arrays")
+            return
+        if depth > _DEEPEST:
+            raise DamagedRecording(f"{path}: {name} is nested too deeply")
+        for key in item:
+            add(item, key, f"{called}/{key.removeprefix('_index_')}", depth + 1)
+
+    add(group, name, called, 0)
     return found
+
+
+def _address(item: Any) -> int:
+    import h5py
+
+    return int(h5py.h5o.get_info(item.id).addr)

@@ -9,6 +9,13 @@ from typing import Any
 
 from gpusimbench.recorder.demonstrations.demonstration import Demonstration
 
+_LONGEST = 256  # of a name
+
+
+def name_of(told: object) -> str:
+    """What a file says, if it can be the name of a task or a version: a line of text; empty otherwise."""
+    return told if isinstance(told, str) and told.isprintable() and len(told) <= _LONGEST else ""
+
 
 @dataclass(frozen=True)
 class Made:

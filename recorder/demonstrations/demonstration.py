@@ -58,6 +58,8 @@ def checked(path: Path, found: Demonstration) -> Demonstration:
         len(array) != n for array in (*found.actions.values(), *found.physics.values())
     ):
         raise DamagedRecording(f"{path}: the arrays of an episode of {n} steps have other lengths")
+    if odd := [name for name, array in found.infos.items() if array.shape != (n,)]:
+        raise DamagedRecording(f"{path}: {odd[0]} of an episode of {n} steps has the shape {found.infos[odd[0]].shape}")
     if len({len(array) for array in found.observations.values()}) > 1:
         raise DamagedRecording(f"{path}: the observations of an episode of {n} steps have different lengths")
     return found

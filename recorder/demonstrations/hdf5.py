@@ -11,7 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.recorder.demonstrations.arrays import SUFFIXES, is_group, member, opened_file, read_array, read_tree
+from gpusimbench.recorder.demonstrations.arrays import (
+    SUFFIXES,
+    has,
+    is_group,
+    member,
+    opened_file,
+    read_array,
+    read_tree,
+)
 from gpusimbench.recorder.demonstrations.data_set import DataSet, Made
 from gpusimbench.recorder.demonstrations.demonstration import Arrays, Demonstration, checked
 from gpusimbench.schemas.errors import DamagedRecording
@@ -89,7 +97,7 @@ def _of_group(path: Path, group: Any) -> Demonstration:
     rewards = read_array(path, group, "rewards")
     flags = [read_array(path, group, name) for name in ("terminations", "truncations")]
     physics = {}
-    if "infos" in group and all(name in group["infos"] for name in ("qpos", "qvel")):
+    if all(has(group, f"infos/{name}") for name in ("qpos", "qvel")):
         physics = {name: read_array(path, group, f"infos/{name}")[: len(rewards)] for name in ("qpos", "qvel")}
     return checked(
         path,
@@ -121,7 +129,7 @@ def _of_flat(path: Path, file: Any) -> Iterator[Demonstration]:
         raise DamagedRecording(
             f"{path} is a file of ManiSkill, which needs its metadata beside it, {path.with_suffix('.json').name}"
         )
-    if "rewards" not in file and (groups := [name for name in file if is_group(file, name)]):
+    if not has(file, "rewards") and (groups := [name for name in file if is_group(file, name)]):
         raise DamagedRecording(
             f"{path} is in a layout that is not read: it has {few(groups, _NAMED)} in place of D4RL's arrays and "
             "Minari's episodes. Files of robosuite and robomimic are read if they name their environment (env_args or "
@@ -133,13 +141,13 @@ def _of_flat(path: Path, file: Any) -> Iterator[Demonstration]:
     if not n:
         return
     ends = {
-        name: read_array(path, file, name).reshape(-1) != 0 if name in file else np.zeros(n, dtype=np.bool_)
+        name: read_array(path, file, name).reshape(-1) != 0 if has(file, name) else np.zeros(n, dtype=np.bool_)
         for name in ("terminals", "timeouts")
     }
     observations, actions = read_array(path, file, "observations"), read_array(path, file, "actions")
-    following = read_array(path, file, "next_observations") if "next_observations" in file else None
+    following = read_array(path, file, "next_observations") if has(file, "next_observations") else None
     physics: Arrays = {}
-    if all(f"infos/{name}" in file for name in ("qpos", "qvel")):
+    if all(has(file, f"infos/{name}") for name in ("qpos", "qvel")):
         physics = {name: read_array(path, file, f"infos/{name}") for name in ("qpos", "qvel")}
     every = (*ends.values(), observations, actions, *physics.values(), *([] if following is None else [following]))
     if odd := [array for array in every if len(array) != n]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.recorder.demonstrations.arrays import SUFFIXES, is_group, member, opened_file, read_array, read_tree
-from gpusimbench.recorder.demonstrations.data_set import DataSet, Made
+from gpusimbench.recorder.demonstrations.data_set import DataSet, Made, name_of
 from gpusimbench.recorder.demonstrations.demonstration import Demonstration, checked
 from gpusimbench.recorder.vector.origin import STATED
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
@@ -78,8 +78,7 @@ def made(file: Path, metadata: Mapping[str, Any]) -> Made:
         keywords.setdefault("control_mode", modes[0])
     if type(of_env.get("max_episode_steps")) is int:
         keywords.setdefault("max_episode_steps", of_env["max_episode_steps"])
-    name = of_env.get("env_id")
-    return Made(name if isinstance(name, str) else "", keywords, vectorization=STATED)
+    return Made(name_of(of_env.get("env_id")), keywords, vectorization=STATED)
 
 
 def read(file: Path, metadata: Mapping[str, Any], most: int | None = None) -> list[Demonstration]:
@@ -99,8 +98,11 @@ def read(file: Path, metadata: Mapping[str, Any], most: int | None = None) -> li
 
 
 def _episode(file: Path, groups: Any, told: Mapping[str, Any]) -> Demonstration:
-    name = f"traj_{told.get('episode_id')}"
-    if "/" in name or not is_group(groups, name):
+    number = told.get("episode_id")
+    if type(number) is not int:
+        raise DamagedRecording(f"{file}: the metadata have an episode_id that is no integer")
+    name = f"traj_{number}"
+    if not is_group(groups, name):
         raise DamagedRecording(f"{file} has no {name}")
     group = member(file, groups, name)
     if _STATES not in group:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.recorder.demonstrations.arrays import SUFFIXES, check_texts, is_group, member, opened_file, read_array
-from gpusimbench.recorder.demonstrations.data_set import DataSet, Made
+from gpusimbench.recorder.demonstrations.data_set import DataSet, Made, name_of
 from gpusimbench.recorder.demonstrations.demonstration import Arrays, Demonstration, checked
 from gpusimbench.recorder.vector.origin import SUITED
 from gpusimbench.schemas.errors import DamagedRecording
@@ -37,27 +37,29 @@ def opened(path: Path) -> DataSet | None:
             return None
         check_texts(path)
         told = _told(path, file[_DATA].attrs)
-    name, version = told.get("env_name"), told.get("env_version")
     return DataSet(
         path=path,
         name=path.stem,
-        version=f"robosuite {version}" if isinstance(version, str) else "robosuite",
+        version=f"robosuite {name_of(told.get('env_version'))}".rstrip(),
         files=(path,),
         read=lambda most, space: read(path, space, most),
-        made=Made(name if isinstance(name, str) else "", told["env_kwargs"], vectorization=SUITED),
+        made=Made(name_of(told.get("env_name")), told["env_kwargs"], vectorization=SUITED),
         at_once=1,  # each episode has a model of its own, which its environment loads
     )
 
 
 def _told(path: Path, attributes: Mapping[str, Any]) -> dict[str, Any]:
     """What the file says of its environment, in robomimic's words."""
+    given = "env_args" in attributes
     try:
-        if "env_args" in attributes:
-            told = dict(json.loads(attributes["env_args"]))
-            return {**told, "env_kwargs": dict(told.get("env_kwargs", {}))}
-        keywords = dict(json.loads(attributes["env_info"]))
+        told = json.loads(attributes["env_args" if given else "env_info"])
     except (ValueError, TypeError, RecursionError):
-        raise DamagedRecording(f"{path}: what it says of its environment is no JSON") from None
+        told = None
+    keywords = told.get("env_kwargs", {}) if given and isinstance(told, dict) else told
+    if not isinstance(told, dict) or not isinstance(keywords, dict):
+        raise DamagedRecording(f"{path}: what it says of its environment is no JSON")
+    if given:
+        return {**told, "env_kwargs": keywords}
     name = keywords.pop("env_name", attributes.get("env"))
     return {"env_name": name, "env_version": attributes.get("repository_version"), "env_kwargs": keywords}
 

@@ -43,6 +43,7 @@ from gpusimbench.schemas.remote.file import RemoteFile
 from gpusimbench.schemas.remote.patience import Patience, TooSlow
 from tests.conftest import run_python
 from tests.forging import copied
+from tests.hostile.reading import in_time
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT, commands, shell
 from tests.web import Web, serving
@@ -869,3 +870,11 @@ def test_escapes_are_part_of_a_name(memory: Any) -> None:
     memory.pipe("/set/a b.mcap", b"content")
     with pytest.raises(Unreachable, match="no such file"):
         RemoteFile(Location("memory://set/a%20b.mcap"))
+
+
+def test_long_texts_are_redacted_in_time() -> None:
+    """Look through a megabyte without an address, as a stranger's file may put into an error, and leave none out."""
+    words = "a" * 1_000_000
+    with in_time():
+        assert redacted(words) == words
+    assert redacted(f"{words}://user:secret@host/x?key") == f"{words}://host/x"

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -149,3 +152,64 @@ def test_hashes_without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
     expect(COMPILED_BYTES)
     assert module._compiled is None
     assert fingerprint([np.ones((1, 1), dtype=np.float32)]).shape == ()
+
+
+_HASH_MANY = """
+import threading
+import numpy as np
+from gpusimbench.schemas import action_generator, fingerprint
+
+fingerprint.COMPILED_BYTES = 1000
+states = np.random.default_rng(5).standard_normal((3, 50, 5, 1))
+by_numpy = fingerprint.fingerprint([states[:1]]), fingerprint.fingerprint([states])
+for thread in threading.enumerate():
+    if thread.name == "compiling":
+        thread.join()
+assert fingerprint._asked and fingerprint._compiled is None
+assert (fingerprint.fingerprint([states]) == by_numpy[1]).all()
+fingerprint._asked = False
+fingerprint.expect(1000)
+action_generator.expect(1 << 40)
+assert fingerprint._asked and fingerprint._compiled is None and action_generator._fill is None
+"""
+
+
+@pytest.mark.parametrize("broken", ["JIT is off", "import", "cache"])
+def test_numba_that_compiles_nothing(broken: str, tmp_path: Path) -> None:
+    """Hash by numpy, and say nothing, where numba is not to compile, cannot be imported, or has a damaged cache."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    if broken == "JIT is off":
+        environment["NUMBA_DISABLE_JIT"] = "1"
+    if broken == "import":  # as numba does beside a version of another package that it does not know
+        (tmp_path / "numba.py").write_text("raise AttributeError('coverage.types has no attribute Tracer')")
+        environment["PYTHONPATH"] = os.pathsep.join([str(tmp_path), *sys.path])
+    if broken == "cache":
+        made = "import gpusimbench.schemas.fingerprint_compiled, gpusimbench.schemas.action_generator_compiled"
+        subprocess.run([sys.executable, "-c", made], env=environment, check=True)
+        indexes = list((tmp_path / "cache").rglob("*.nbi"))
+        assert len(indexes) == 2
+        for index in indexes:  # as a disk that was full leaves them
+            index.write_bytes(index.read_bytes()[:50])
+    done = subprocess.run([sys.executable, "-c", _HASH_MANY], env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+_FORK = """
+import os
+import numpy as np
+from gpusimbench.schemas import fingerprint
+
+fingerprint.COMPILED_BYTES = 10
+fingerprint.fingerprint([np.ones((4, 3, 1))])
+child = os.fork()
+if not child:
+    import numba
+    os._exit(0)
+assert os.waitpid(child, 0)[1] == 0
+"""
+
+
+def test_fork_while_numba_is_loaded() -> None:
+    """Let a copy of the process import numba: it would wait for the thread that was loading numba, and lacks it."""
+    done = subprocess.run([sys.executable, "-c", _FORK], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stderr) == (0, "")
