@@ -52,6 +52,11 @@ def dump_json(policy: Outcome, against: Outcome | None, comparison: Comparison |
 
 def warnings(of: Outcome) -> Iterator[str]:
     """What a reader of the numbers must know, a sentence each."""
+    if of.repeats:
+        yield (
+            f"{plural(len(of.repeats), 'recording')} left out, bit for bit the same as one that counts: "
+            f"{few(of.repeats, _NUMBERS)}. Repeated runs of one seed are no further sample; record other seeds for more"
+        )
     for quantity in of.quantities:
         early = quantity.finish_order
         if early.biased:
