@@ -410,6 +410,13 @@ def test_dependence_that_cannot_be_told(words: list[str], says: str, capsys: pyt
     assert says in " ".join(capsys.readouterr().err.split())
 
 
+def test_why_there_is_no_interval() -> None:
+    """Say why a mean has no interval."""
+    shown = " ".join(call("gsb-episodes", recording_of("near", 4, 4), code=0).stdout.split())
+    assert "No interval of return: fewer than 8 environments." in shown
+    assert "No interval" not in call("gsb-episodes", recording_of("near", 64, 4), code=0).stdout
+
+
 def test_repeated_runs_count_once(tmp_path: Path) -> None:
     """Leave out recordings with the bits of another one: they would make intervals narrower and differences certain."""
     sides = {}
