@@ -7,7 +7,8 @@ from gpusimbench.evaluator.audit.checking import RULES, Check
 from gpusimbench.evaluator.audit.verdict import Level, Rung
 from gpusimbench.evaluator.diff import program_words
 from gpusimbench.evaluator.diff.result import Difference, Divergence
-from gpusimbench.evaluator.diff.words import differ, in_ulps
+from gpusimbench.evaluator.diff.verdict import apart, place_of
+from gpusimbench.evaluator.diff.words import differ
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
@@ -166,9 +167,7 @@ def _first(first: Divergence) -> Cell:
         return Cell(said)
     n, at = first.state.number, first.state
     later = "" if first.located else f" (first recorded state: step {at.step})"
-    ulp = f", {in_ulps(n, named=True)}" if n.ulp is not None else ""
-    distance = "" if n.distance is None else f", {n.distance:.3g} {n.unit}"
-    number = f"{n.field} of {n.item}, {n.component}{later}: {n.a} there, {n.b} here{ulp}{distance}"
+    number = ", ".join(filter(None, (f"{place_of(n)}{later}: {n.a} there", f"{n.b} here", apart(n, named=True))))
     return Cell(said, notes=(number,))
 
 

@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.episodes.document import dump_json, episodes_document
     from gpusimbench.evaluator.episodes.outcome import outcome
     from gpusimbench.evaluator.episodes.profile import profiles
-    from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side
+    from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side, without_repeats
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.read.addresses import expand
 
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     given = [verified(list(expand(files))) for files in (arguments.files, arguments.against) if files]
     check_distinct([recording for side in given for recording in side])
     with stage("evaluating episodes"):
-        sides = [read_side(recordings) for recordings in given]
+        sides = [without_repeats(read_side(recordings)) for recordings in given]
         per_env = arguments.per_env or min(side.at_most for side in sides)
         chosen, at = Choice.GIVEN if arguments.per_env else Choice.LARGEST, At(arguments.success_at)
         episodes = [choose(side, per_env, arguments.success, at) for side in sides]
@@ -110,7 +110,7 @@ def _across(arguments: argparse.Namespace) -> int:
     from gpusimbench.evaluator.episodes.across_document import across_document, dump_across
     from gpusimbench.evaluator.episodes.dependence import Across, Setting, dependences, grouped
     from gpusimbench.evaluator.episodes.outcome import outcome
-    from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side
+    from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side, without_repeats
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.read.addresses import expand
 
@@ -118,7 +118,7 @@ def _across(arguments: argparse.Namespace) -> int:
     check_distinct(recordings)
     groups = grouped(recordings, arguments.across)
     with stage("evaluating episodes"):
-        sides = [read_side(group) for group in groups.values()]
+        sides = [without_repeats(read_side(group)) for group in groups.values()]
         per_env = arguments.per_env or min(side.at_most for side in sides)
         chosen, at = Choice.GIVEN if arguments.per_env else Choice.LARGEST, At(arguments.success_at)
         episodes = [choose(side, per_env, arguments.success, at) for side in sides]

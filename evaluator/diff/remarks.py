@@ -98,6 +98,11 @@ def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | Non
         found.append(a.recording.apart_by_design)
     if hashes is not None and hashes.phase != "capture":
         found.append(f"the hashes are those of the {hashes.phase} phase: of the steps that it began and ended with")
+    if still := [name for name, side in (("a", a), ("b", b)) if _is_still(side)]:
+        found.append(
+            f"nothing moves in {' and '.join(still)}: every captured state is that of the start, so that agreement "
+            "says nothing of how bodies move. Record another start or controls, such as --initial random:0.1"
+        )
     if any(field.basis is Basis.LOCAL for field in fields):
         found.append(
             "origins differ, so positions cannot be compared by bits: origins are subtracted in float64, and "
@@ -110,6 +115,14 @@ def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | Non
             "float32 count as equal, and distances in ULPs are those of float32"
         )
     return tuple(found)
+
+
+def _is_still(side: Selection) -> bool:
+    found = side.recording.fingerprints("capture")
+    if found is None or len(found.steps) < 2:
+        return False
+    hashes = found.hashes[:, list(side.envs)]
+    return bool((hashes == hashes[0]).all())
 
 
 def timed(agreement: Agreement | None) -> tuple[str, ...]:

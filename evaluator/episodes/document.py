@@ -52,6 +52,11 @@ def dump_json(policy: Outcome, against: Outcome | None, comparison: Comparison |
 
 def warnings(of: Outcome) -> Iterator[str]:
     """What a reader of the numbers must know, a sentence each."""
+    if of.repeats:
+        yield (
+            f"{plural(len(of.repeats), 'recording')} left out, bit for bit the same as one that counts: "
+            f"{few(of.repeats, _NUMBERS)}. Repeated runs of one seed are no further sample; record other seeds for more"
+        )
     for quantity in of.quantities:
         early = quantity.finish_order
         if early.biased:
@@ -99,7 +104,9 @@ def _policy(of: Outcome, title: str) -> Iterator[Block]:
     )
     yield table("episodes", "", _QUANTITIES, [_row(one) for one in of.quantities])
     method = "; ".join(f"{one.name}: {one.method}" for one in of.quantities)
-    yield Text(f"95 %: {method}. {_VISIBLE.format('a comparison with as many episodes of another policy')}")
+    missing = [(one.name, one.ci95.reason) for one in of.quantities if isinstance(one.ci95, Missing)]
+    why = "".join(f"No interval of {name}: {reason}. " for name, reason in missing)
+    yield Text(f"95 %: {method}. {why}{_VISIBLE.format('a comparison with as many episodes of another policy')}")
     if told := list(warnings(of)):
         yield items(*told, tone=Tone.WARNING)
 

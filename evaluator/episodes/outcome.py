@@ -78,6 +78,7 @@ class Outcome:
     """Of one policy.
 
     files          recordings
+    repeats        recordings that are left out, because their bits are those of one of `files`
     scene          task
     n_env          environments of all recordings
     n_envs         environments of a recording: the different numbers, ascending
@@ -94,6 +95,7 @@ class Outcome:
     """
 
     files: tuple[str, ...]
+    repeats: tuple[str, ...]
     scene: str
     n_env: int
     n_envs: tuple[int, ...]
@@ -120,6 +122,7 @@ def outcome(episodes: Episodes, chosen: Choice, success: str | None, at: At) -> 
         quantities.insert(0, _success(episodes, episodes.success, first, success, at))
     return Outcome(
         files=tuple(str(recording.path) for recording in side.recordings),
+        repeats=tuple(str(recording.path) for recording in side.repeats),
         scene=side.recordings[0].configuration.scene,
         n_env=episodes.n_env,
         n_envs=tuple(sorted({recording.configuration.n_env for recording in side.recordings})),

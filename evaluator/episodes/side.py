@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -39,6 +40,8 @@ class Side:
     tables: tuple[EpisodeTable, ...]
     finished: NDArray[np.int64]
     """Episodes of each environment before its first that the task did not end, [env]."""
+    repeats: tuple[Recording, ...] = ()
+    """Recordings with the same bits as one of `recordings`, which do not count."""
 
     def envs_of(self, file: int) -> slice:
         """The environments of a recording, among all."""
@@ -104,6 +107,27 @@ def read_side(recordings: Sequence[Recording]) -> Side:
     tables = tuple(map(episode_table, recordings))
     finished = [_finished(one.configuration.n_env, table) for one, table in zip(recordings, tables, strict=True)]
     return Side(tuple(recordings), tables, np.concatenate(finished))
+
+
+def without_repeats(side: Side) -> Side:
+    """The same without recordings whose state hashes are those of an earlier one at every captured step.
+
+    A run that is repeated with the same seed, bit for bit, is no further sample of the policy: to count it again would
+    make intervals and p-values too small. Recordings without state hashes are kept.
+    """
+    first: dict[bytes, int] = {}
+    for file, recording in enumerate(side.recordings):
+        found = recording.fingerprints("capture")
+        bits = f"{file}".encode() if found is None else found.steps.tobytes() + found.hashes.tobytes()
+        first.setdefault(hashlib.sha256(bits).digest(), file)
+    kept = list(first.values())
+    return replace(
+        side,
+        recordings=tuple(side.recordings[file] for file in kept),
+        tables=tuple(side.tables[file] for file in kept),
+        finished=np.concatenate([side.finished[side.envs_of(file)] for file in kept]),
+        repeats=tuple(one for file, one in enumerate(side.recordings) if file not in kept),
+    )
 
 
 def check_distinct(recordings: Sequence[Recording]) -> None:

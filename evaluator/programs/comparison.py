@@ -79,7 +79,11 @@ def compare_runs(command: Sequence[str], runs: Sequence[ProgramRun]) -> Comparis
         for name in names
         if len(there := [i for i, run in enumerate(found) if name in run]) < len(runs)
     ]
-    left_out += [f"{path}: the recording was not ended" for run in runs for path in run.partial]
+    left_out += [
+        f"{path}: the recording was not ended: close the environment or the writer"
+        for run in runs
+        for path in run.partial
+    ]
     pairs = [
         (name, number, found[0][name], found[number][name])
         for name in names

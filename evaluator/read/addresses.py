@@ -78,6 +78,8 @@ def recordings_in(folder: Path) -> list[Path]:
     if not found:
         below = sorted({path.parent for path in folder.glob("*/*.mcap")})
         hint = f"; there are some in {below[0]}: name that folder" if below else ""
+        if len(below) > 1:
+            hint = f"; there are some in {len(below)} folders below it: give {folder}/*/*.mcap"
         raise UsageError(f"{folder} is a folder without recordings (*.mcap){hint}")
     return found
 

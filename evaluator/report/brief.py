@@ -179,7 +179,7 @@ def _troubles(evaluation: Evaluation) -> Iterator[Text]:
     for note in notes[:_NOTES]:
         yield Text(f"note: {note}", Tone.WARNING)
     if len(notes) > _NOTES:
-        yield Text(f"{len(notes) - _NOTES} more notes: --all", Tone.WARNING)
+        yield Text(f"{plural(len(notes) - _NOTES, 'more note')}: --all", Tone.WARNING)
     lines = timed.incomparable(evaluation.results)
     for line in lines[:1]:
         yield Text(line, Tone.WARNING)

@@ -52,6 +52,7 @@ from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.text import few
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,11 @@ def evaluate(
         )
         for g, label in each(list(zip(groups, names, strict=True)), "computing metrics of groups")
     ]
+    if still := [f.result.label for f in found if f.runs and all(map(_is_still, f.runs))]:
+        notes.insert(
+            0, f"{few(still, 3)}: nothing moves, every captured state is that of the start; so these verdicts say "
+            "nothing of how bodies move",
+        )  # fmt: skip
     notes += _identical_groups(found)
     maps = _maps(found, target)
     results = tuple(
@@ -341,6 +347,10 @@ def _warnings(result: GroupResult) -> list[str]:
     if any(len(applied.sha256) > 1 for applied in result.validity.actions):
         notes.append("the runs were given different actions, so they differ by design")
     return notes
+
+
+def _is_still(run: Run) -> bool:
+    return not isinstance(run.histories, Missing) and run.histories.still
 
 
 def _identical_groups(found: Sequence[_Found]) -> list[str]:

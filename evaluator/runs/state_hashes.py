@@ -40,6 +40,11 @@ class Histories:
         """Environments with different histories."""
         return int(self.classes.max(initial=-1)) + 1
 
+    @property
+    def still(self) -> bool:
+        """Whether several states were captured, and all are the first one in every bit."""
+        return len(self.steps) > 1 and bool((self.digests == self.digests[0]).all())
+
     def until(self, rows: int) -> bytes:
         """The first rows of all environments, as bytes that are equal exactly where those are."""
         return self.steps[:rows].tobytes() + self.digests[:rows].tobytes()

@@ -96,6 +96,11 @@ def wrap(
             raise UsageError("physics is recorded of MuJoCo's environments, not of those with tensors of torch")
         return tensors.recorded_tensors(envs, path, steps=steps, dt=told, infos=names, images=how)
     if mode_of(envs) is Mode.NONE:
+        if getattr(envs, "num_envs", None) is None:
+            raise UsageError(
+                f"{envs!s:.60} is a single environment; wrap records vector environments: gymnasium.make_vec(name, "
+                "num_envs=1) makes one of them"
+            )
         raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
     from gpusimbench.recorder.vector.wrapper import Recorded
 

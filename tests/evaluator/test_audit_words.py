@@ -122,6 +122,17 @@ def test_the_first_difference_is_in_numbers(five: list[Recording]) -> None:
     assert "settings: the same" in text
 
 
+def test_a_number_of_an_array_without_bodies(five: list[Recording]) -> None:
+    """Name it by field and component, as gsb-diff does, without a body or a unit that nobody knows."""
+    found = compare(five[0], five[4])
+    assert found.first is not None and found.first.state is not None
+    number = replace(found.first.state.number, field="env/action", item="", component="0", unit="unknown")
+    first = replace(found.first, state=replace(found.first.state, number=number))
+    text = lines(Audit((five[0],), made(five[4:]), (five[4],), replace(found, first=first)))
+    (said,) = [line for line in text if "env/action" in line]
+    assert said.startswith("differs: env/action[0]: 0.03 there, 2.03 here, ") and said.endswith(" ULP, 2")
+
+
 def test_a_replay_that_differs_is_the_one_shown(five: list[Recording]) -> None:
     """Show what differs, whichever of the replays it is, and the sameness where all are the same."""
     same, other = five[1], five[4]

@@ -24,6 +24,7 @@ from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.details import Equality
+from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import EQUALITY_RUNS
 from gpusimbench.recorder.capture import state_work as capture
@@ -142,6 +143,20 @@ def test_equal_recordings_are_equal(tmp_path: Path) -> None:
     assert found.growth is not None
     assert set(found.growth.max_spatial) == {0.0}
     assert (found.growth.to_1mm, found.growth.fit) == (None, Missing("nothing moved apart"))
+
+
+def test_recordings_in_which_nothing_moves(tmp_path: Path) -> None:
+    """Warn that agreement of two robots at rest says nothing, in gsb-diff and in gsb-eval; not where either moves."""
+    moves = record(tmp_path, still())
+    start = np.asarray(moves.state("cubes", "position")[0])
+    at_rest = [record(tmp_path, lambda _: start) for _ in range(2)]
+    (said,) = [note for note in compare(*at_rest).notes if "nothing moves" in note]
+    assert said.startswith("nothing moves in a and b: ") and "--initial" in said
+    assert [note for note in compare(moves, at_rest[0]).notes if note.startswith("nothing moves in b: ")]
+    assert not [note for note in compare(moves, moves).notes if "nothing moves" in note]
+    for recording, warned in ((at_rest[0], True), (moves, False)):
+        notes = evaluate([read_run(recording, 0.1)]).notes
+        assert any("nothing moves" in note for note in notes) is warned
 
 
 def test_a_copy_is_called_a_copy(tmp_path: Path) -> None:

@@ -408,3 +408,27 @@ def test_dependence_that_cannot_be_told(words: list[str], says: str, capsys: pyt
     """Refuse recordings of one value, and a second policy."""
     assert episodes([str(recording_of("sweep", 64, 4)), *words]) == 2
     assert says in " ".join(capsys.readouterr().err.split())
+
+
+def test_why_there_is_no_interval() -> None:
+    """Say why a mean has no interval."""
+    shown = " ".join(call("gsb-episodes", recording_of("near", 4, 4), code=0).stdout.split())
+    assert "No interval of return: fewer than 8 environments." in shown
+    assert "No interval" not in call("gsb-episodes", recording_of("near", 64, 4), code=0).stdout
+
+
+def test_repeated_runs_count_once(tmp_path: Path) -> None:
+    """Leave out recordings with the bits of another one: they would make intervals narrower and differences certain."""
+    sides = {}
+    for seed in (0, 900):
+        sides[seed] = [tmp_path / f"{seed}-{run}.mcap" for run in range(6)]
+        for path in sides[seed]:
+            search.record("near", path, 8, 2, seed)
+    document = json.loads(call("gsb-episodes", *sides[0], "--against", *sides[900], "--json", "-", code=0).stdout)
+    alone = json.loads(call("gsb-episodes", sides[0][0], "--against", sides[900][0], "--json", "-", code=0).stdout)
+    assert document["comparison"] == alone["comparison"]
+    assert document["policy"]["quantities"] == alone["policy"]["quantities"]
+    assert document["policy"]["repeats"] == [str(path) for path in sides[0][1:]] and alone["policy"]["repeats"] == []
+    assert document["policy"]["warnings"][0].startswith("5 recordings left out, bit for bit the same")
+    both = json.loads(call("gsb-episodes", sides[0][0], sides[900][0], "--json", "-", code=0).stdout)
+    assert both["policy"]["n_env"] == 16 and both["policy"]["repeats"] == []

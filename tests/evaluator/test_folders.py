@@ -48,6 +48,9 @@ def test_a_folder_without_recordings(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder / "below", tmp_path / "runs")
     with pytest.raises(UsageError, match=rf"there are some in {tmp_path / 'runs'}: name that folder"):
         expand([tmp_path])
+    shutil.copytree(folder / "below", tmp_path / "run-1")
+    with pytest.raises(UsageError, match=rf"there are some in 2 folders below it: give {tmp_path}/\*/\*\.mcap$"):
+        expand([tmp_path])
 
 
 def test_what_a_folder_leaves_below(folder: Path) -> None:

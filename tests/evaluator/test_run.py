@@ -308,6 +308,13 @@ def audited(folder: Path, command: str, *options: str, code: int) -> tuple[str, 
     return " ".join(done.stdout.split()), audit
 
 
+def test_a_recording_that_was_not_ended(tmp_path: Path) -> None:
+    """Say what ends it, where the program left it open."""
+    leaves = "RecordingWriter.__exit__ = lambda *_: os._exit(0)\nrecord('a.mcap', 1)"
+    said, _ = gsb_run(tmp_path, program(tmp_path, leaves), code=ExitCode.NOTHING_COMPARABLE)
+    assert "a.mcap.partial: the recording was not ended: close the environment or the writer" in said
+
+
 def test_an_audit_runs_the_program_again(recorded: Path) -> None:
     """Give the program the recorded seed, and find the recording of the same name."""
     said, audit = audited(recorded, f"{sys.executable} small.py {{seed}}", code=ExitCode.OK)

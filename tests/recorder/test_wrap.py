@@ -324,6 +324,8 @@ def test_what_cannot_be_wrapped(tmp_path: Path) -> None:
     modeless.metadata = {"render_fps": 20}
     with pytest.raises(UsageError, match="need an autoreset_mode"):
         wrap(modeless, tmp_path / "a.mcap", steps=1)
+    with pytest.raises(UsageError, match="is a single environment; wrap records vector environments"):
+        wrap(gymnasium.make("CartPole-v1"), tmp_path / "a.mcap", steps=1)
     with pytest.raises(UsageError, match="is reset before it is stepped"):
         wrap(walks(1, 3, "NextStep"), tmp_path / "a.mcap", steps=1).step(np.zeros((1, 2), np.float32))
     assert not list(tmp_path.iterdir())
