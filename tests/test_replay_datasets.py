@@ -127,7 +127,7 @@ def test_single_precision_is_not_the_state(tmp_path: Path) -> None:
     assert (len(lost["episodes"]), lost["began_otherwise"]) == (2, 2)  # neither seed nor state is known
     assert lost["settings"] == []  # the format has a version, and the data set tells no keywords
     assert (
-        "the data set does not tell which versions and which machine made it: they may be the reason"
+        "the data set does not say which versions and which machine made it; a difference there may be the reason"
         in lost["warnings"]
     )
 

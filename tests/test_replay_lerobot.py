@@ -92,7 +92,10 @@ def test_what_can_be_said_without_seed_states_and_rewards(tmp_path: Path) -> Non
     assert found["began_otherwise"] == 3
     assert "the original has no rewards: returns were not compared" in found["warnings"]
     said = call("gsb-replay", "plain.mcap", "--against", "plain-replay.mcap", code=4, cwd=tmp_path).stdout
-    assert "3 episodes of 3 with other bits, and nothing of the outcome is known." in said
+    assert (
+        "3 of 3 episodes with other bits; the data set has neither rewards nor success, so outcomes are not compared."
+        in said
+    )
     assert "has no rewards" in call("gsb-episodes", "plain.mcap", code=5, cwd=tmp_path).stderr
     told = json.loads(call("gsb-info", "plain.mcap", "--json", "-", code=0, cwd=tmp_path).stdout)
     assert '"mean_return": null' in json.dumps(told)

@@ -65,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     p.add_argument(
         "--success-at", choices=("last", "any"), default="last",
-        help="whether it counts at the last step of an episode, or at any (default: %(default)s)",
+        help="step of an episode at which the info of --success counts (default: %(default)s)",
     )  # fmt: skip
     add_json(p, "result")
     return p

@@ -88,7 +88,8 @@ def verdict(found: Compared) -> str:
         return f"{_all(n)} with the same outcome; {counts[Verdict.SAME]} with other bits."
     if not any(counts[one] for one in _WORDS):
         return (
-            f"{plural(counts[Verdict.UNKNOWN], 'episode')} of {n} with other bits, and nothing of the outcome is known."
+            f"{counts[Verdict.UNKNOWN]} of {plural(n, 'episode')} with other bits; the data set has neither rewards "
+            "nor success, so outcomes are not compared."
         )
     other = [f"{counts[one]} {words}" for one, words in _WORDS.items() if counts[one]]
     return f"Of {plural(n, 'episode')}, {' and '.join(other)}."
@@ -122,7 +123,7 @@ def warnings(found: Compared) -> Iterator[str]:
             "its random numbers differ before any action, so that the actions cannot lead to the same states"
         )
     if found.of_data_set and found.count(Verdict.IDENTICAL) < len(found.episodes):
-        yield "the data set does not tell which versions and which machine made it: they may be the reason"
+        yield "the data set does not say which versions and which machine made it; a difference there may be the reason"
     if names := dict.fromkeys(name for one in found.episodes for name in one.rounded):
         yield f"compared in float32, since one of the files holds no more digits: {', '.join(names)}"
     if any(one.returns[0] is None for one in found.episodes):

@@ -20,24 +20,25 @@ if TYPE_CHECKING:
 
 _REQUIRED = ("bit-identical", "same-outcome")
 _READ = (
-    "recording (.mcap) of gpusimbench.wrap, file of D4RL, robomimic (.hdf5) or ManiSkill (.h5), or folder of a Minari "
-    "or LeRobot data set"
+    "recording (.mcap) of gpusimbench.wrap, file of D4RL, robosuite or robomimic (.hdf5) or of ManiSkill (.h5), or "
+    "folder of a Minari or LeRobot data set"
 )
 
 _EPILOG = """\
-The recorded actions are fed, open loop, to an environment that is made again and reset with the recorded seeds; what it
-does is recorded, and compared episode by episode. Recordings are those of gpusimbench.wrap. gsb-audit replays those of
-gsb-record. A data set becomes a recording first, NAME.mcap in the present folder.
+The environment is made again and reset with the recorded seeds, and the recorded actions are applied to it without
+feedback (open loop). The replay is recorded, and compared with the original episode by episode. gsb-replay takes
+recordings of gpusimbench.wrap; gsb-audit replays recordings of gsb-record. A data set is first converted to a
+recording, NAME.mcap in the current folder.
 
-Code runs only if you have it installed or name it: from a file come the id of Gymnasium's registry and keywords that
-are no paths, and --make imports your own module.
+The command runs only code that you have installed or name: from a file it takes an id of Gymnasium's registry and
+keywords that are no paths, and --make imports your own module.
 
 verdicts, strongest first:
   bit-identical   every observation and reward has the same bits, and the episode ends at the same step; observations
                   of ManiSkill's and robosuite's data sets are the states of the physics
   same outcome    bits differ; length, end, success and, within --tolerance, the return are the same
-  outcome not known  bits differ, and the data set has neither rewards nor the info of --success
-  other outcome   one of these differs
+  outcome not known  bits differ, the length is the same, and the data set has neither rewards nor the info of --success
+  other outcome   length, end, success or return differs
   not replayed    the replay has no such episode
 
 exit codes:
@@ -64,8 +65,8 @@ def parser() -> Parser:
     """The command's arguments."""
     p = new_parser(
         "gsb-replay",
-        "Feed recorded actions to an environment that is made again, and say for every episode whether it replays bit "
-        "for bit, with the same outcome, or with another one, and where it leaves the original.",
+        "Make the environment of a recording or data set again, apply the recorded actions, and say for every episode "
+        "whether the replay has the same bits, the same outcome or another outcome, and where they first differ.",
         _EPILOG,
     )
     p.add_argument(
@@ -85,13 +86,13 @@ def parser() -> Parser:
         help="keyword of the environment, instead of the recorded one; repeatable",
     )  # fmt: skip
     p.add_argument(
-        "--out", type=local_path, metavar="FILE", help="recording of the replay (default: FILE-replay.mcap, here)"
+        "--out", type=local_path, metavar="FILE", help="recording of the replay (default: NAME-replay.mcap, here)"
     )
     p.add_argument("--episodes", type=int, metavar="N", help="only the first N episodes of a data set (default: all)")
     p.add_argument("--success", metavar="NAME", help="info that says whether an episode succeeded (default: success)")
     p.add_argument(
         "--success-at", choices=("last", "any"), default="last",
-        help="whether it counts at the last step of an episode, or at any (default: %(default)s)",
+        help="step of an episode at which the info of --success counts (default: %(default)s)",
     )  # fmt: skip
     p.add_argument(
         "--tolerance", type=float, default=0.01, metavar="SHARE",
@@ -152,6 +153,7 @@ def _original(file: Place) -> list[Recording]:
 
 
 def _replayed(original: Recording, arguments: argparse.Namespace, success: str | None) -> Path:
+    from gpusimbench.evaluator.render.numbers import plural
     from gpusimbench.replay.dataset import require_gymnasium
     from gpusimbench.replay.origin import given, origin_of
     from gpusimbench.replay.parts import given_at_first, infos_of, parts_of, seed_of
@@ -168,7 +170,7 @@ def _replayed(original: Recording, arguments: argparse.Namespace, success: str |
     else:
         origin = origin_of(original, arguments.env, given(arguments.keywords))
         words = ", ".join(f"{name}={value!r}" for name, value in origin.keywords.items())
-        say(f"replaying in {n_env} environments {origin.spec_id}({words})")
+        say(f"replaying in {plural(n_env, 'environment')} {origin.spec_id}({words})")
         envs = registered(origin.spec_id, origin.keywords, n_env, vectorization=origin.vectorization)
     how = {"seed": seed_of(original), "infos": infos_of(original), "dt": original.configuration.dt}
     how["images"] = original.configuration.options.get("images", "numbers")
