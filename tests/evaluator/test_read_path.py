@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -128,8 +129,8 @@ def test_each_byte_has_one_crc_when_verified(tmp_path: Path, compression: str, m
     hit = container.chunks[container.messages("/state/cubes/position/000000")[1].chunk]
     verify = container.verify
 
-    def verify_and_change() -> None:
-        verify()
+    def verify_and_change(moved: Callable[[int], None]) -> None:
+        verify(moved)
         with path.open("r+b") as stream:
             stream.seek((hit.begin + hit.end) // 2)
             byte = stream.read(1)[0]
