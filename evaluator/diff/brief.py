@@ -9,6 +9,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Facts, facts
 
 _ITEMS, _FIELDS, _NAMES, _CHANGES, _CLASSES = 6, 8, 4, 4, 3
+_JOINTS = "/qpos "  # a field of several units is in parts, such as "joints/qpos [m]"
 Pairs = list[tuple[str, str]]
 Labels = tuple[int, ...]
 
@@ -23,7 +24,7 @@ def brief(found: Difference, *, every: bool) -> Facts:
         if every:
             pairs += _contacts(found, found.first)
         else:
-            pairs += _growth(found.growth)
+            pairs += _apart(found)
             if found.compared.n_env > 1:
                 pairs.append(("trajectories", _trajectories(found)))
     if not every or not found.settings:
@@ -97,9 +98,18 @@ def _counted(contacts: Contacts | None) -> str:
     return f"mean {contacts.mean:.4g} per env, max {contacts.max:g}" if contacts else "not counted"
 
 
-def _growth(growth: Growth | Missing) -> Pairs:
-    if isinstance(growth, Missing):
-        return [("growth", f"not known: {growth.reason}")]
+def _apart(found: Difference) -> Pairs:
+    """How far bodies lie apart; of mechanisms whose joints alone are recorded, how far these do."""
+    if not isinstance(found.growth, Missing):
+        return _growth(found.growth)
+    joints = [f for f in found.compared.fields if _JOINTS in f"{f.field} " and f.max_distance is not None]
+    if not joints:
+        return [("growth", f"not known: {found.growth.reason}")]
+    listed = " and ".join(f"{words.amount(f.max_distance, f.unit)} ({f.field.partition(' ')[0]})" for f in joints)
+    return [("joints", f"up to {listed} apart, over all recorded states")]
+
+
+def _growth(growth: Growth) -> Pairs:
     last = next((row for row in reversed(range(len(growth.times))) if growth.largest[row] is not None), None)
     parts = []
     if last is not None:

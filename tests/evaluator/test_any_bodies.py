@@ -13,6 +13,7 @@ import pytest
 from gpusimbench import compare, diff, evaluate, open_recording
 from gpusimbench.evaluator.audit.audit import _sample_time
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
+from gpusimbench.evaluator.diff.words import amount, length
 from gpusimbench.evaluator.metrics.joints import (
     JointSpace,
     distance_between_envs,
@@ -254,6 +255,9 @@ def test_diff_keeps_units_apart(tmp_path: Path) -> None:
     for item, name in enumerate(("joints/qpos [m]", "joints/qpos [rad]")):
         assert found[name].max_distance == pytest.approx(np.abs(made[0] - made[1])[..., item].max())
     assert " m or rad" not in call("gsb-diff", one, other, "--all").stdout
+    slid, turned = (found[f"joints/qpos [{unit}]"].max_distance for unit in ("m", "rad"))
+    apart = f"joints        up to {length(slid)} (joints/qpos) and {amount(turned, 'rad')} (joints/qpos) apart"
+    assert apart in call("gsb-diff", one, other).stdout
     alike = write(tmp_path, cart_pole(), 0, simulator="twin")
     same = diff(one, alike)
     assert same.bit_identical
