@@ -12,6 +12,7 @@ from gpusimbench.evaluator.diff.result import Basis
 from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement
 from gpusimbench.evaluator.diff.states import CommonStates, Ends
+from gpusimbench.evaluator.metrics.identity import unchanging
 
 Fields = tuple[CommonField, ...]
 
@@ -119,10 +120,7 @@ def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | Non
 
 def _is_still(side: Selection) -> bool:
     found = side.recording.fingerprints("capture")
-    if found is None or len(found.steps) < 2:
-        return False
-    hashes = found.hashes[:, list(side.envs)]
-    return bool((hashes == hashes[0]).all())
+    return found is not None and unchanging(found.hashes[:, list(side.envs)])
 
 
 def timed(agreement: Agreement | None) -> tuple[str, ...]:

@@ -11,6 +11,15 @@ import numpy.typing as npt
 from gpusimbench.evaluator.metrics.divergence import by_first_appearance
 
 
+def unchanging(samples: npt.NDArray[np.uint64]) -> bool:
+    """Whether there are several samples, and all are the first one.
+
+    Args:
+        samples: hashes, shape [n_sample, ...].
+    """
+    return len(samples) > 1 and bool((samples == samples[0]).all())
+
+
 def bitwise_classes(samples: npt.ArrayLike) -> npt.NDArray[np.int64]:
     """Group samples by their bytes.
 

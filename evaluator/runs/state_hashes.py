@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.metrics.identity import distinct_over_time
+from gpusimbench.evaluator.metrics.identity import distinct_over_time, unchanging
 from gpusimbench.evaluator.metrics.split_tree import SplitTree, split_tree
 from gpusimbench.evaluator.read.streams import Fingerprints
 
@@ -43,7 +43,7 @@ class Histories:
     @property
     def still(self) -> bool:
         """Whether several states were captured, and all are the first one in every bit."""
-        return len(self.steps) > 1 and bool((self.digests == self.digests[0]).all())
+        return unchanging(self.digests)
 
     def until(self, rows: int) -> bytes:
         """The first rows of all environments, as bytes that are equal exactly where those are."""

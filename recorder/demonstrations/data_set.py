@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from gpusimbench.recorder.demonstrations.demonstration import Demonstration
+from gpusimbench.schemas.errors import DamagedRecording
 
 _LONGEST = 256  # of a name
 
@@ -15,6 +17,16 @@ _LONGEST = 256  # of a name
 def name_of(told: object) -> str:
     """What a file says, if it can be the name of a task or a version: a line of text; empty otherwise."""
     return told if isinstance(told, str) and told.isprintable() and len(told) <= _LONGEST else ""
+
+
+def read_json(file: Path, most: int) -> Any:
+    """What a file of metadata says; DamagedRecording where it has more than `most` bytes, or is no JSON."""
+    try:
+        if file.stat().st_size > most:
+            raise DamagedRecording(f"{file} is too large")
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise DamagedRecording(f"{file} cannot be read: {type(error).__name__}") from None
 
 
 @dataclass(frozen=True)

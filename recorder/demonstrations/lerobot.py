@@ -7,7 +7,6 @@ file for each episode, version 3 has several episodes in a file. Video and image
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from math import prod
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.demonstrations.data_set import DataSet
+from gpusimbench.recorder.demonstrations.data_set import DataSet, read_json
 from gpusimbench.recorder.demonstrations.demonstration import Demonstration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 
@@ -102,12 +101,7 @@ def _frame_files(path: Path) -> list[Path]:
 
 def _info(path: Path) -> dict[str, Any]:
     file = path / INFO
-    try:
-        if file.stat().st_size > _MOST_INFO:
-            raise DamagedRecording(f"{file} is too large")
-        info = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise DamagedRecording(f"{file} cannot be read: {type(error).__name__}") from None
+    info = read_json(file, _MOST_INFO)
     if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
         raise DamagedRecording(f"{file} names no features")
     return info

@@ -8,7 +8,6 @@ reset_kwargs).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.recorder.demonstrations.arrays import SUFFIXES, is_group, member, opened_file, read_array, read_tree
-from gpusimbench.recorder.demonstrations.data_set import DataSet, Made, name_of
+from gpusimbench.recorder.demonstrations.data_set import DataSet, Made, name_of, read_json
 from gpusimbench.recorder.demonstrations.demonstration import Demonstration, checked
 from gpusimbench.recorder.vector.origin import STATED
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
@@ -49,12 +48,7 @@ def _metadata(file: Path) -> Mapping[str, Any] | None:
     beside = file.with_suffix(".json")
     if not beside.is_file():
         return None
-    try:
-        if beside.stat().st_size > _MOST_METADATA:
-            raise DamagedRecording(f"{beside} is too large")
-        told = json.loads(beside.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise DamagedRecording(f"{beside} cannot be read: {type(error).__name__}") from None
+    told = read_json(beside, _MOST_METADATA)
     return told if isinstance(told, dict) and {"env_info", "episodes"} <= told.keys() else None
 
 
