@@ -34,14 +34,14 @@ from gpusimbench.evaluator.runs.run import Run
 def to_json(evaluation: Evaluation) -> dict[str, Any]:
     """The document that ``gsb-eval --json`` prints; plain JSON values only."""
     reference, comparison = evaluation.reference, evaluation.comparison
-    document = {
+    document = {  # of results, which values_of makes JSON of
         "schema_version": SCHEMA_VERSION,
         "sample_time_s": evaluation.sample_time,
         "reference": {"file": str(reference.path), "label": reference.label, "measured": reference.measured}
         if reference
         else None,
         "reference_note": evaluation.reference_note,
-        "notes": list(evaluation.notes),
+        "notes": evaluation.notes,
         "groups": [_group(result) for result in evaluation.results],
         "recordings": [
             *(_recording(r) for result in evaluation.results for r in result.group.recordings),
@@ -51,14 +51,14 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
             ),
         ],
         "sweeps": [_sweep(sweep) for sweep in evaluation.sweeps],
-        "accumulation": list(evaluation.accumulation),
+        "accumulation": evaluation.accumulation,
         "convergence": [_convergence(one) for one in evaluation.convergences],
         "radar": {
             name: {axis.value: value for axis, value in axes.items()}
             for name, axes in (comparison.radar.values if comparison.radar else {}).items()
         },
         "compared": [contender_record(contender) for contender in comparison.contenders],
-        "guidelines": [vars(g) for g in comparison.guidelines],
+        "guidelines": comparison.guidelines,
         "protocol": {"rules": PROTOCOL, "findings": evaluation.unmet.count, "by_rule": dict(evaluation.unmet.findings)},
         "price_list": [family_record(family) for family in evaluation.price_list],
         "probes": [probe_record(one) for one in evaluation.probed],
@@ -108,24 +108,20 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "faults": faults_record(faults(result)),
         "divergence": divergence_records(result),
         "physics": fidelity_record(result.fidelity),
-        "laws": [_law(law) for law in result.laws if isinstance(law, Law)],
-        "laws_missing": [vars(law) for law in result.laws if isinstance(law, Unmeasured)],
-        "deviations": [vars(d) for d in _deviations(result)],
-        "notes": list(result.notes),
+        "laws": [law for law in result.laws if isinstance(law, Law)],
+        "laws_missing": [law for law in result.laws if isinstance(law, Unmeasured)],
+        "deviations": _deviations(result),
+        "notes": result.notes,
     }
-
-
-def _law(law: Law) -> dict[str, Any]:
-    return {**vars(law), "sensitivities": [vars(one) for one in law.sensitivities]}
 
 
 def _validity(validity: Validity) -> dict[str, Any]:
     return {
-        "counters": [vars(c) for c in validity.counted],
+        "counters": validity.counted,
         "buffers": [{**vars(b.buffer), "needed": b.needed, "share": b.share} for b in validity.buffers],
-        "overflow": None if validity.overflow is None else [vars(o) for o in validity.overflow],
+        "overflow": validity.overflow,
         "overflow_told_by_all": validity.overflow_told.yes,
-        "actions": [vars(a) for a in validity.actions],
+        "actions": validity.actions,
     }
 
 

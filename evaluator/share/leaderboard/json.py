@@ -30,7 +30,7 @@ def dump_json(board: Board) -> str:
             "sample_time_s": board.sample_time,
             "sections": [_section(section) for section in board.sections],
             "unreadable": [{"file": name, "why": why} for name, why in board.unreadable],
-            "notes": list(board.notes),
+            "notes": board.notes,
         })
     )  # fmt: skip
 
@@ -63,10 +63,10 @@ def _row(row: Row) -> dict[str, Any]:
         "n_env_max": row.sweep.n_max if row.sweep else None,
         "sweep_ends": row.sweep.ends if row.sweep else None,
         **{name: _metric(metrics[name]) for name in ("distinct_envs", "distinct_runs", "regime_published")},
-        "gates": list(row.gates),
+        "gates": row.gates,
         "protocol": words.deviations(row),
         "reproduction": row.reproduction,
-        "recordings": [vars(entry) for entry in row.entries],
+        "recordings": row.entries,
     }
 
 
