@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from gpusimbench.evaluator.diff.parts import ProgramDifference
+from gpusimbench.evaluator.diff.program_parts import ProgramDifference
 from gpusimbench.evaluator.metrics.divergence import GrowthFit
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.location import Place
