@@ -10,7 +10,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.schemas.location import Location
 
 _DEEPEST = 8
@@ -39,6 +39,11 @@ def values_of(result: Any) -> Any:
     if result is None or isinstance(result, (bool, int, str)):
         return result
     return values_of(result.item())  # a number of numpy's
+
+
+def picked(result: Any, names: str) -> dict[str, Any]:
+    """Attributes of a result as JSON has them, under their own names: "n_env dt seed". What is Missing is null."""
+    return {name: values_of(known(getattr(result, name))) for name in names.split()}
 
 
 def _entries(result: Any) -> Iterator[tuple[str, Any]]:

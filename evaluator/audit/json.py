@@ -8,7 +8,7 @@ from typing import Any
 from gpusimbench.evaluator.audit.audit import Audit
 from gpusimbench.evaluator.audit.checking import RULES, Check
 from gpusimbench.evaluator.audit.verdict import Level
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import dump, picked, values_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.location import Place
 
@@ -51,13 +51,7 @@ def _audit(audit: Audit, required: Level) -> dict[str, Any]:
         else {
             "a": d.a.path,
             "b": d.b.path,
-            "bit_identical": d.bit_identical,
-            "same_up_to_env_order": d.same_up_to_env_order,
-            "max_ulp": d.max_ulp,
-            "compared": d.compared,
-            "first": d.first,
-            "program": d.program,
-            "notes": d.notes,
+            **picked(d, "bit_identical same_up_to_env_order max_ulp compared first program notes"),
         },
         "settings": audit.settings.deciding,
         "other_packages": audit.settings.packages,

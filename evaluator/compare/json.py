@@ -7,7 +7,7 @@ from typing import Any
 from gpusimbench.evaluator.compare import words
 from gpusimbench.evaluator.compare.compare import Compared, Result, counts
 from gpusimbench.evaluator.compare.finding import Finding
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import dump, picked, values_of
 from gpusimbench.evaluator.report.timed import timed_record
 from gpusimbench.evaluator.results.metric import Axis
 
@@ -25,9 +25,7 @@ def dump_json(result: Result) -> str:
             "exit_code": int(result.exit_code),
             "undecided": [axis.value for axis in result.undecided],
             "settings": {
-                "alpha": settings.alpha,
-                "threshold": settings.threshold,
-                "outcome_cm": settings.outcome_cm,
+                **picked(settings, "alpha threshold outcome_cm"),
                 "gates": [axis.value for axis in Axis if axis in settings.gates],
                 "expect_same": settings.expect_same,
                 "statistical_comparisons": result.tests,
@@ -44,21 +42,14 @@ def dump_json(result: Result) -> str:
 
 def _configuration(compared: Compared, result: Result) -> dict[str, Any]:
     pair = compared.pair
-    key = pair.base.key
     sides = {
         name: {
-            "version": group.key.version,
-            "device": group.key.device,
+            **picked(group.key, "version device"),
             "complete": len(group.complete),
             "outcomes": group.outcomes,
             "timed": timed_record(work),
             "recordings": [
-                {
-                    "path": values_of(r.path),
-                    "run_id": r.provenance.run_id,
-                    "created_utc": r.provenance.created_utc,
-                    "status": r.status,
-                }
+                {**picked(r, "path"), **picked(r.provenance, "run_id created_utc"), **picked(r, "status")}
                 for r in group.recordings
             ],
         }
@@ -66,13 +57,9 @@ def _configuration(compared: Compared, result: Result) -> dict[str, Any]:
     }
     return {
         "label": pair.label,
-        "simulator": key.simulator,
-        "scene": key.scene,
-        "n_env": key.n_env,
-        "dt": key.dt,
+        **picked(pair.base.key, "simulator scene n_env dt"),
         **sides,
-        "differs": list(pair.differs),
-        "same_machine": pair.same_machine,
+        **picked(pair, "differs same_machine"),
         "order": "".join("B" if head else "A" for head in compared.order.head),
         "interleaved": compared.order.interleaved,
         "findings": [_finding(finding, result) for finding in compared.findings],

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from gpusimbench.evaluator.diff import remarks
 from gpusimbench.evaluator.diff.common import common_fields, step_ratio
-from gpusimbench.evaluator.diff.first import first_divergence, first_of_timed
-from gpusimbench.evaluator.diff.hashes import CommonHashes, common_hashes, timed_hashes
+from gpusimbench.evaluator.diff.first import first_divergence
+from gpusimbench.evaluator.diff.hashes import common_hashes, timed_hashes
 from gpusimbench.evaluator.diff.numbers import pairing
 from gpusimbench.evaluator.diff.order import BodyOrder
 from gpusimbench.evaluator.diff.program import compare_program
-from gpusimbench.evaluator.diff.result import Basis, Compared, Difference, Splits
+from gpusimbench.evaluator.diff.result import Basis, Compared, Difference
 from gpusimbench.evaluator.diff.selection import Selection, one
 from gpusimbench.evaluator.diff.settings import differing_settings, is_other_package
-from gpusimbench.evaluator.diff.splits import Agreement, Classes, step_range, without_classes
+from gpusimbench.evaluator.diff.splits import Agreement, step_range
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.evaluator.diff.walk import walk_hashes, walk_states
-from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import NothingComparable, UsageError
 
@@ -56,23 +56,18 @@ def _compare(a: Selection, b: Selection) -> Difference:
     fields, left_out = common_fields(a, b)
     states = CommonStates(a, b, [pairing(field, a, b) for field in fields], ratio)
     found = common_hashes(a, b, fields, ratio, states=bool(len(states)))
-    hashes, no_hashes = (found, "") if isinstance(found, CommonHashes) else (None, found)
+    hashes = known(found)
     if hashes is None and not len(states):
-        raise NothingComparable(remarks.nothing(a, b, fields, no_hashes))
+        raise NothingComparable(remarks.nothing(a, b, fields, why_missing(found)))
     no_classes = remarks.no_classes(a, b, fields)
     walked = walk_states(states, a, b, hashes=hashes, classes=hashes is None and not no_classes)
-    agreement, classes = walked.agreement, walked.classes
-    if hashes is not None:
-        agreement, classes = walk_hashes(hashes, classes=not no_classes)
-    timed = timed_hashes(a, b, fields, ratio, hashes)
-    timed_agreement, timed_classes = walk_hashes(timed, classes=not no_classes) if timed else (None, None)
-    first = first_divergence(
-        a, b, ratio, (states, walked.agreement), (hashes, agreement) if hashes is not None else None
-    )
-    if first is None and timed_agreement is not None:
-        first = first_of_timed(a, b, ratio, timed_agreement)
+    hashed = walk_hashes(hashes, classes=not no_classes) if hashes else None
+    of_timed = timed_hashes(a, b, fields, ratio, hashes)
+    timed = walk_hashes(of_timed, classes=not no_classes) if of_timed else None
+    agreement = hashed or walked.agreement
+    first = first_divergence(a, b, ratio, states, walked.agreement, hashed, timed)
     bitwise = all(field.basis is Basis.BITS for field in fields)
-    same_envs = _same_up_to_order(a, b, classes, timed_classes)
+    same_envs = _same_up_to_order(a, b, agreement, timed)
     bodies = None
     if first is not None and not same_envs and not no_classes and len(states):
         bodies = BodyOrder(states, a, b)
@@ -92,9 +87,9 @@ def _compare(a: Selection, b: Selection) -> Difference:
             state_steps=step_range(states.steps_a.tolist()) if len(states) else None,
             hash_steps=step_range(hashes.steps_a.tolist()) if hashes else None,
             hash_phase=hashes.phase if hashes else "",
-            timed_steps=step_range(timed.steps_a.tolist()) if timed else None,
-            unseen_steps=sum(found.unseen(states.steps_a) for found in (hashes, timed) if found),
-            no_hashes=no_hashes,
+            timed_steps=step_range(of_timed.steps_a.tolist()) if of_timed else None,
+            unseen_steps=sum(side.unseen(states.steps_a) for side in (hashes, of_timed) if side),
+            no_hashes=why_missing(found),
             left_out=(*left_out, *remarks.uncommon(a, b, states), *remarks.arrays(a, b, program)),
         ),
         bitwise=bitwise,
@@ -105,11 +100,11 @@ def _compare(a: Selection, b: Selection) -> Difference:
         first=first,
         max_ulp=max((f.max_ulp for f in walked.fields if f.max_ulp is not None), default=None),
         growth=walked.growth or Missing(remarks.no_growth(fields, states=bool(len(states)))),
-        splits=_splits(agreement, classes, no_classes, by_hashes=hashes is not None),
+        splits=agreement.splits(no_classes, by_hashes=hashes is not None),
         settings=settings,
         other_packages=sum(is_other_package(one, a.recording, b.recording) for one in settings),
         copies=not one_recording and a.recording.provenance.run_id == b.recording.provenance.run_id,
-        notes=(*remarks.notes(a, b, fields, hashes), *remarks.timed(timed_agreement)),
+        notes=(*remarks.notes(a, b, fields, hashes), *remarks.timed(timed)),
         program=program,
         described=a.recording.simulation is not None and b.recording.simulation is not None,
     )
@@ -119,13 +114,8 @@ def _body_order(bodies: BodyOrder | None) -> bool | None:
     return None if bodies is None else bodies.in_env or bodies.any_env
 
 
-def _splits(agreement: Agreement, classes: Classes | None, no_classes: str, *, by_hashes: bool) -> Splits:
-    if classes is None:
-        return without_classes(agreement, no_classes, by_hashes=by_hashes)
-    return classes.result(agreement, by_hashes=by_hashes)
-
-
-def _same_up_to_order(a: Selection, b: Selection, classes: Classes | None, timed: Classes | None) -> bool | None:
+def _same_up_to_order(a: Selection, b: Selection, agreement: Agreement, timed: Agreement | None) -> bool | None:
     # an order is between two whole sets of environments
     whole = all(len(side.envs) == side.recording.configuration.n_env for side in (a, b))
-    return classes.same_up_to_order(timed) if whole and classes is not None else None
+    classes = agreement.classes
+    return classes.same_up_to_order(timed.classes if timed else None) if whole and classes else None

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.diff.hashes import CommonHashes
 from gpusimbench.evaluator.diff.numbers import Pairing, number
 from gpusimbench.evaluator.diff.result import Divergence, Number, StateDifference
 from gpusimbench.evaluator.diff.selection import Selection
@@ -23,57 +22,31 @@ def first_divergence(
     a: Selection,
     b: Selection,
     ratio: Fraction,
-    states: tuple[CommonStates, Agreement],
-    hashes: tuple[CommonHashes, Agreement] | None,
+    states: CommonStates,
+    seen: Agreement,
+    hashed: Agreement | None,
+    timed: Agreement | None,
 ) -> Divergence | None:
     """The first common step at which anything differs; None where nothing does.
 
     ratio   steps of b for a step of a
-    states  and what reading them found
-    hashes  likewise; they are there for steps whose states are not
+    seen    what reading the states found
+    hashed  what reading hashes found, which are there for steps whose states are not
+    timed   the same of the timed phase's hashes beside these, which decide where nothing else differs
     """
-    common, seen = states
-    found, by_hashes, phase = seen, False, "capture"
-    if hashes is not None and hashes[1].first is not None:
-        hashed = hashes[1]
-        if seen.first is None or hashed.first_step() <= seen.first_step():
-            found, by_hashes, phase = hashed, True, hashes[0].phase
+    found = seen
+    if hashed and hashed.first and (seen.first is None or hashed.first_step() <= seen.first_step()):
+        found = hashed
+    if found.first is None and timed:
+        found = timed
     if found.first is None:
         return None
-    known = [*seen.steps, *(hashes[1].steps if hashes else [])]
-    return _divergence(
-        a,
-        b,
-        ratio,
-        found,
-        phase=phase,
-        known=known,
-        by_hashes=by_hashes,
-        state=state_difference(common, seen.first.row, a, b) if seen.first else None,
-    )
-
-
-def first_of_timed(a: Selection, b: Selection, ratio: Fraction, seen: Agreement) -> Divergence | None:
-    """The first common step of the timed phase at which hashes differ; None where none do.
-
-    ratio  steps of b for a step of a
-    seen   what reading these hashes found
-    """
-    if seen.first is None:
-        return None
-    return _divergence(a, b, ratio, seen, phase="timed", known=seen.steps, by_hashes=True, state=None)
-
-
-def _divergence(
-    a: Selection, b: Selection, ratio: Fraction, found: Agreement, *, phase: str, known: Sequence[int], by_hashes: bool,
-    state: StateDifference | None,
-) -> Divergence:  # fmt: skip
-    assert found.first is not None
+    known = timed.steps if timed and found is timed else [*seen.steps, *(hashed.steps if hashed else [])]
     step = found.first_step()
     step_b = int(step * ratio)
     env_a, env_b = envs_of(found.first.pair, a, b)
     return Divergence(
-        phase=phase,
+        phase=found.phase,
         step_a=step,
         step_b=step_b,
         time=step * a.recording.configuration.dt,
@@ -81,10 +54,10 @@ def _divergence(
         env_a=env_a,
         env_b=env_b,
         envs=found.first.count,
-        by_hashes=by_hashes,
-        state=state,
-        contacts_a=a.contacts(phase, step),
-        contacts_b=b.contacts(phase, step_b),
+        by_hashes=found is not seen,
+        state=state_difference(states, seen.first.row, a, b) if seen.first else None,
+        contacts_a=a.contacts(found.phase, step),
+        contacts_b=b.contacts(found.phase, step_b),
     )
 
 

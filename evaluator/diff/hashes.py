@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.diff.common import CommonField, common_steps
 from gpusimbench.evaluator.diff.result import Basis
 from gpusimbench.evaluator.diff.selection import Selection
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.errors import DamagedRecording
 
 PHASES = ("capture", "timed")
@@ -52,19 +53,19 @@ class CommonHashes:
 
 def common_hashes(
     a: Selection, b: Selection, fields: tuple[CommonField, ...], ratio: Fraction, *, states: bool
-) -> CommonHashes | str:
+) -> CommonHashes | Missing:
     """Hashes that both sides recorded, or why they cannot be used.
 
     states  whether there are common states: then hashes are those of the same phase, the capture's
     """
     why_not = _why_not(a, b, fields)
     if why_not:
-        return why_not
+        return Missing(why_not)
     for phase in PHASES[:1] if states else PHASES:
         found = _of_phase(phase, a, b, ratio)
         if found is not None:
             return found
-    return "not both recordings have state hashes of a common step"
+    return Missing("not both recordings have state hashes of a common step")
 
 
 def timed_hashes(

@@ -126,9 +126,11 @@ class Tally:
         # zero where nothing differs, and no distance where what differs is not finite
         nothing = 0.0 if self._finite and not self._different else None
         return FieldDifference(
-            field.name, field.unit, field.basis, self._numbers, self._different, self._zeros, self._payloads,
-            self._not_finite, self._first_step, self._first_ulp, self._max_ulp,
-            nothing if self._max_distance is None else self._max_distance, self._negated, self._signs_from,
+            field=field.name, unit=field.unit, basis=field.basis, numbers=self._numbers, different=self._different,
+            signed_zeros=self._zeros, nan_payloads=self._payloads, not_finite=self._not_finite,
+            first_step=self._first_step, first_ulp=self._first_ulp, max_ulp=self._max_ulp,
+            max_distance=nothing if self._max_distance is None else self._max_distance,
+            other_sign=self._negated, signs_from=self._signs_from,
         )  # fmt: skip
 
 
@@ -144,10 +146,11 @@ def number(how: Pairing, a: NDArray[Any], b: NDArray[Any], at: tuple[int, ...]) 
     elif field.basis is not Basis.LOCAL:
         ulp = int(ulp_distance(*one_dtype(np.array([one]), np.array([other])))[0])
     return Number(
-        field.name, field.items[at[-2]], field.components[at[-1]], field.unit, field.basis,
-        str(one), str(other), _hex(one), _hex(other), ulp,
-        abs(apart) if np.isfinite(apart) else None, limit if limit is None or np.isfinite(limit) else None,
-        bool(np.broadcast_to(how.negated(a, b), np.broadcast_shapes(a.shape, b.shape))[at]),
+        field=field.name, item=field.items[at[-2]], component=field.components[at[-1]], unit=field.unit,
+        basis=field.basis, a=str(one), b=str(other), hex_a=_hex(one), hex_b=_hex(other), ulp=ulp,
+        distance=abs(apart) if np.isfinite(apart) else None,
+        resolution=limit if limit is None or np.isfinite(limit) else None,
+        other_sign=bool(np.broadcast_to(how.negated(a, b), np.broadcast_shapes(a.shape, b.shape))[at]),
     )  # fmt: skip
 
 

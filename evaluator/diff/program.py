@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gpusimbench.evaluator.diff.parts import Kind, Moment, Part, ProgramDifference, is_action
+from gpusimbench.evaluator.diff.program_parts import Kind, Moment, Part, ProgramDifference, is_action
 from gpusimbench.evaluator.diff.result import Divergence, FieldDifference
 from gpusimbench.evaluator.read.program import Updates
 from gpusimbench.evaluator.read.recording import Recording

@@ -7,7 +7,7 @@ import numpy as np
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.hashes import CommonHashes
-from gpusimbench.evaluator.diff.parts import ProgramDifference
+from gpusimbench.evaluator.diff.program_parts import ProgramDifference
 from gpusimbench.evaluator.diff.result import Basis
 from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from gpusimbench.evaluator.diff.parts import ProgramDifference
+from gpusimbench.evaluator.diff.program_parts import ProgramDifference
 from gpusimbench.evaluator.metrics.divergence import GrowthFit
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.location import Place
@@ -292,14 +292,14 @@ class Splits:
     by_hashes: bool
     steps: StepRange
     agreeing: tuple[Change, ...]
-    distinct_a: tuple[Change, ...] | None
-    distinct_b: tuple[Change, ...] | None
-    distinct_both: tuple[Change, ...] | None
-    classes_a: tuple[int, ...] | None
-    classes_b: tuple[int, ...] | None
-    last_a: tuple[int, ...] | None
-    last_b: tuple[int, ...] | None
-    no_classes: str
+    distinct_a: tuple[Change, ...] | None = None
+    distinct_b: tuple[Change, ...] | None = None
+    distinct_both: tuple[Change, ...] | None = None
+    classes_a: tuple[int, ...] | None = None
+    classes_b: tuple[int, ...] | None = None
+    last_a: tuple[int, ...] | None = None
+    last_b: tuple[int, ...] | None = None
+    no_classes: str = ""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from gpusimbench.evaluator.render.document import (
     items,
     table,
 )
-from gpusimbench.evaluator.render.numbers import ulps
+from gpusimbench.evaluator.render.numbers import NONE, ulps
 from gpusimbench.schemas.text import cut
 
 _REMARKS, _VALUE, _CHANGES, _CLASSES = 3, 48, 8, 8
@@ -99,7 +99,7 @@ def _row(field: FieldDifference) -> list[Cell | str]:
         field.field,
         Cell(f"{field.different:,}", field.different),
         Cell(f"{field.numbers:,}", field.numbers),
-        words.NONE if field.first_step is None else Cell(str(field.first_step), field.first_step),
+        NONE if field.first_step is None else Cell(str(field.first_step), field.first_step),
         _ulps(field.first_ulp, field.signs_from == field.first_step),
         _ulps(field.max_ulp, field.signs_from is not None),
         Cell("not finite", math.inf)
@@ -109,7 +109,7 @@ def _row(field: FieldDifference) -> list[Cell | str]:
 
 
 def _ulps(count: int | None, signs_differ: bool) -> Cell | str:
-    return words.NONE if count is None else Cell(ulps(count, signs_differ=signs_differ), count)
+    return NONE if count is None else Cell(ulps(count, signs_differ=signs_differ), count)
 
 
 def _distances(growth: Growth | Missing) -> Section:

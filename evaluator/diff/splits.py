@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,15 +38,19 @@ class FirstRow:
 
 
 class Agreement:
-    """How many pairs of environments are equal at each step.
+    """What is equal at each step of a phase: pairs of environments, and of all environments those of one hash.
 
-    pairs  of environments
-    steps  that were added so far
-    first  where anything differs; None where nothing does
+    phase    of the runs that the states are of
+    pairs    of environments
+    classes  of environments by their hashes; None where these are not asked for
+    steps    that were added so far
+    first    where anything differs; None where nothing does
     """
 
-    def __init__(self, pairs: int) -> None:
-        self.pairs = pairs
+    def __init__(self, n_a: int, n_b: int, *, classes: bool, phase: str = "capture") -> None:
+        self.phase = phase
+        self.pairs = max(n_a, n_b)
+        self.classes = Classes(n_a, n_b) if classes else None
         self.steps: list[int] = []
         self.first: FirstRow | None = None
         self._equal = Counts()
@@ -66,9 +70,10 @@ class Agreement:
             raise ValueError("nothing differs")
         return self.steps[self.first.row]
 
-    def equal(self) -> tuple[Change, ...]:
-        """Pairs that are equal, where that changes."""
-        return self._equal.result()
+    def splits(self, no_classes: str, *, by_hashes: bool) -> Splits:
+        """What is known; `no_classes` says why environments can be held against their own counterparts alone."""
+        known = Splits(by_hashes, step_range(self.steps), self._equal.result(), no_classes=no_classes)
+        return self.classes.added_to(known) if self.classes else known
 
 
 class Classes:
@@ -103,21 +108,19 @@ class Classes:
         a, b = trajectory[: self._n_a], trajectory[self._n_a :]
         return np.array_equal(np.sort(a), np.sort(b))
 
-    def result(self, agreement: Agreement, *, by_hashes: bool) -> Splits:
-        """What is known."""
+    def added_to(self, known: Splits) -> Splits:
+        """What is known, with distinct states and classes."""
         trajectories, last = by_first_appearance(self._trajectory).tolist(), by_first_appearance(self._last).tolist()
-        return Splits(
-            by_hashes, step_range(agreement.steps), agreement.equal(),
-            self._of_a.result(), self._of_b.result(), self._of_both.result(),
-            tuple(trajectories[: self._n_a]), tuple(trajectories[self._n_a :]),
-            tuple(last[: self._n_a]), tuple(last[self._n_a :]), "",
-        )  # fmt: skip
-
-
-def without_classes(agreement: Agreement, why: str, *, by_hashes: bool) -> Splits:
-    """What is known where environments can be held against their own counterparts alone."""
-    steps = step_range(agreement.steps)
-    return Splits(by_hashes, steps, agreement.equal(), None, None, None, None, None, None, None, why)
+        return replace(
+            known,
+            distinct_a=self._of_a.result(),
+            distinct_b=self._of_b.result(),
+            distinct_both=self._of_both.result(),
+            classes_a=tuple(trajectories[: self._n_a]),
+            classes_b=tuple(trajectories[self._n_a :]),
+            last_a=tuple(last[: self._n_a]),
+            last_b=tuple(last[self._n_a :]),
+        )
 
 
 def step_range(steps: list[int]) -> StepRange:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gpusimbench.evaluator.diff import program_words, words
-from gpusimbench.evaluator.diff.parts import is_action
+from gpusimbench.evaluator.diff.program_parts import is_action
 from gpusimbench.evaluator.diff.result import Difference, Divergence, Number, Verdict
 from gpusimbench.evaluator.diff.words import WITHOUT_UNIT
 from gpusimbench.evaluator.render.document import Text, Tone

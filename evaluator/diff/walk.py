@@ -13,7 +13,7 @@ from gpusimbench.evaluator.diff.hashes import CommonHashes
 from gpusimbench.evaluator.diff.numbers import Tally
 from gpusimbench.evaluator.diff.result import FieldDifference, Growth
 from gpusimbench.evaluator.diff.selection import Selection
-from gpusimbench.evaluator.diff.splits import Agreement, Classes
+from gpusimbench.evaluator.diff.splits import Agreement
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.fingerprint import fingerprint
@@ -27,14 +27,12 @@ class Walked:
     """What reading all common states gave.
 
     fields     one per common field
-    agreement  of the states
-    classes    by hashes of the compared numbers; None where not asked for
+    agreement  of the states; its classes are by hashes of the compared numbers
     growth     None where no field tells positions
     """
 
     fields: tuple[FieldDifference, ...]
     agreement: Agreement
-    classes: Classes | None
     growth: Growth | None
 
 
@@ -49,8 +47,7 @@ def walk_states(
     tallies = [Tally(how) for how in states.fields]
     positions = [how for how in states.fields if how.field.is_position]
     distances = Distances(positions) if positions else None
-    agreement = Agreement(max(len(a.envs), len(b.envs)))
-    found = Classes(len(a.envs), len(b.envs)) if classes else None
+    agreement = Agreement(len(a.envs), len(b.envs), classes=classes)
     for rows in each(list(states.ranges()), "comparing states"):
         steps = states.steps_a[rows]
         differ = np.zeros((len(steps), agreement.pairs), dtype=bool)
@@ -70,37 +67,34 @@ def walk_states(
             differ[has] |= mask.any(axis=(2, 3))
             if how.field.is_position:
                 placed.append((how, has, of_a, of_b))
-            if found is not None:
+            if agreement.classes:
                 hash_a[has] += _hash(of_a, index)
                 hash_b[has] += _hash(of_b, index)
         agreement.add(steps, differ)
         if hashes is not None:
             hashes.check(steps[whole], differ[whole], a, b)  # which are over all fields
-        if found is not None:
-            found.add(steps, hash_a, hash_b)
+        if agreement.classes:
+            agreement.classes.add(steps, hash_a, hash_b)
         if distances is not None and all_placed.any():
             bodies = [(how, of_a[all_placed[has]], of_b[all_placed[has]]) for how, has, of_a, of_b in placed]
             distances.add(steps[all_placed], bodies)
     return Walked(
         tuple(tally.result() for tally in tallies),
         agreement,
-        found,
         distances.result(a.recording.configuration.dt) if distances else None,
     )
 
 
-def walk_hashes(hashes: CommonHashes, *, classes: bool) -> tuple[Agreement, Classes | None]:
+def walk_hashes(hashes: CommonHashes, *, classes: bool) -> Agreement:
     """The same of recorded hashes."""
-    n_a, n_b = hashes.a.shape[1], hashes.b.shape[1]
-    agreement = Agreement(max(n_a, n_b))
-    found = Classes(n_a, n_b) if classes else None
+    agreement = Agreement(hashes.a.shape[1], hashes.b.shape[1], classes=classes, phase=hashes.phase)
     for begin in range(0, len(hashes.steps_a), _HASH_ROWS):
         rows = slice(begin, begin + _HASH_ROWS)
         steps, of_a, of_b = hashes.steps_a[rows], hashes.a[rows], hashes.b[rows]
         agreement.add(steps, np.asarray(of_a != of_b))
-        if found is not None:
-            found.add(steps, of_a, of_b)
-    return agreement, found
+        if agreement.classes:
+            agreement.classes.add(steps, of_a, of_b)
+    return agreement
 
 
 def _hash(array: NDArray[Any], index: int) -> NDArray[np.uint64]:

@@ -9,11 +9,10 @@ import numpy as np
 
 from gpusimbench.evaluator.diff.result import Change, Number
 from gpusimbench.evaluator.metrics.divergence import opposite_signs
-from gpusimbench.evaluator.render.numbers import ulps
+from gpusimbench.evaluator.render.numbers import NONE, ulps
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.text import cut, few
 
-NONE = "-"
 WITHOUT_UNIT = ("unit quaternion", UNKNOWN, DIMENSIONLESS)
 """Units that are not written behind a number."""
 

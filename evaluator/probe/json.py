@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import dump, picked, values_of
 from gpusimbench.evaluator.probe.finding import Finding, verdict_of
 from gpusimbench.evaluator.probe.questions import Probed
 
@@ -21,16 +21,8 @@ def dump_probe(probed: Sequence[Probed], prices: Sequence[dict[str, Any]]) -> st
 def probe_record(probed: Probed) -> dict[str, Any]:
     """One configuration and its answers."""
     arms, findings = probed
-    key = arms.key
     return {
-        "simulator": key.simulator,
-        "version": key.version,
-        "device": key.device,
-        "scene": key.scene,
-        "determinism": key.determinism,
-        "options": key.options,
-        "vary": key.vary,
-        "seed": key.seed,
+        **picked(arms.key, "simulator version device scene determinism options vary seed"),
         "n_env": arms.n_env,
         "numbers": sorted(arms.by_number),
         "verdict": verdict_of(findings),

@@ -7,7 +7,7 @@ from typing import Any
 
 from gpusimbench.evaluator.check.rules.findings import Report
 from gpusimbench.evaluator.check.rules.rule import Rule, RuleSet
-from gpusimbench.evaluator.json_values import dump, plain
+from gpusimbench.evaluator.json_values import dump, picked, plain
 from gpusimbench.schemas import __version__
 
 SCHEMA_VERSION = 1
@@ -19,8 +19,7 @@ def dump_check(report: Report) -> str:
         "rule_sets": list(report.rule_sets),
         "exit_code": int(report.exit_code),
         "files": [
-            {"path": str(f.path), "what": f.what, "status": f.status, "reason": f.reason, "rules_held": f.held}
-            for f in report.files
+            {"path": str(f.path), **picked(f, "what status reason"), "rules_held": f.held} for f in report.files
         ],
         "findings": [
             {
@@ -28,10 +27,8 @@ def dump_check(report: Report) -> str:
                 "level": finding.rule.level.name,
                 "damage": finding.rule.damage,
                 "files": [str(path) for path in finding.files],
-                "of": finding.of,
-                "found": finding.found,
-                "requires": finding.rule.requires,
-                "do": finding.rule.do,
+                **picked(finding, "of found"),
+                **picked(finding.rule, "requires do"),
             }
             for finding in report.findings
         ],
@@ -55,12 +52,7 @@ def _rule(rule: Rule) -> dict[str, Any]:
         "of": rule.of.name,
         "fact": rule.fact,
         "must": {rule.predicate: plain(rule.argument)},
-        "when": list(rule.when),
-        "scenes": list(rule.scenes),
-        "damage": rule.damage,
-        "requires": rule.requires,
-        "why": rule.why,
-        "do": rule.do,
+        **picked(rule, "when scenes damage requires why do"),
     }
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from gpusimbench.evaluator.json_values import picked
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
 from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.report import words
@@ -23,10 +24,7 @@ def family_record(family: Family) -> dict[str, Any]:
     """A configuration under all its levels of determinism."""
     first = family.base or family.prices[0].result
     return {
-        "simulator": first.group.key.simulator,
-        "scene": first.group.key.scene,
-        "n_env": first.group.key.n_env,
-        "device": first.group.key.device,
+        **picked(first.group.key, "simulator scene n_env device"),
         "options": first.group.recordings[0].configuration.options,
         "default": _level(family.base) if family.base else None,
         "levels": [_price(price) for price in family.prices],
@@ -37,10 +35,7 @@ def capability_record(row: Capability) -> dict[str, Any]:
     """A simulator at its N_env^max, by scene."""
     return {
         "label": row.label,
-        "simulator": row.key.simulator,
-        "version": row.key.version,
-        "device": row.key.device,
-        "determinism": row.key.determinism,
+        **picked(row.key, "simulator version device determinism"),
         "elsewhere": list(row.elsewhere),
         "scenes": {scene: _at_max(at) for scene, at in row.at.items()},
     }
@@ -95,9 +90,7 @@ def _price(price: Price) -> dict[str, Any]:
 
 def _cost(cost: Cost) -> dict[str, Any]:
     return {
-        "ratio": cost.ratio,
-        "ci95": cost.ci95,
-        "why_not": cost.why_not,
+        **picked(cost, "ratio ci95 why_not"),
         "interval_why_not": cost.no_interval,
         "cannot_be_told_apart_from_1": cost.undecided,
     }
@@ -127,11 +120,7 @@ def _value(metric: Estimate) -> dict[str, Any]:
 def estimate_record(estimate: Estimate) -> dict[str, Any]:
     """The figures of an estimate, or why there are none."""
     return {
-        "value": known(estimate.value),
-        "unit": estimate.unit,
-        "sd": estimate.sd,
-        "ci95": estimate.ci95,
-        "n": estimate.n,
+        **picked(estimate, "value unit sd ci95 n"),
         "why_not": why_missing(estimate.value),
     }
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from gpusimbench.evaluator.json_values import picked
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict
 
@@ -15,34 +16,16 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 def fidelity_record(one: Fidelity) -> dict[str, Any]:
     """One group's physics for JSON: every check by its key, with its verdict."""
-    record: dict[str, Any] = {
-        "label": one.label,
-        "scene": one.scene,
-        "runs": one.runs,
-        "n_env": one.n_env,
-        "looked_at": one.looked_at,
-        "exactness": one.exactness,
-        "why_not": one.why_not,
-        "revision": one.revision.value,
-        "held": one.held,
-        "checkable": one.checkable,
-        "not_checkable": one.not_checkable,
-        "checks": {},
-    }
-    for row in one.rows:
-        shown: dict[str, Any] = {
-            "title": row.check.title,
-            "unit": row.check.unit,
-            "demanded": row.check.demanded,
-            "verdict": row.verdict.value,
-            "reason": row.reason,
-        }
-        if row.verdict is not Verdict.NOT_APPLICABLE:
-            names = ("mean", "least", "most", "runs", "count", "low", "high", "tolerance", "broken", "of_runs")
-            shown |= {name: getattr(row, name) for name in names}
-            shown |= {"tolerance_formula": row.of, "notes": list(row.notes)}
-        record["checks"][row.check.key] = shown
-    return record
+    of_group = "label scene runs n_env looked_at exactness why_not revision held checkable not_checkable"
+    return {**picked(one, of_group), "checks": {row.check.key: _check(row) for row in one.rows}}
+
+
+def _check(row: FidelityRow) -> dict[str, Any]:
+    record = {**picked(row.check, "title unit demanded"), **picked(row, "verdict reason")}
+    if row.verdict is Verdict.NOT_APPLICABLE:
+        return record
+    values = picked(row, "mean least most runs count low high tolerance broken of_runs")
+    return {**record, **values, "tolerance_formula": row.of, "notes": list(row.notes)}
 
 
 def cells(row: FidelityRow) -> tuple[str, ...]:

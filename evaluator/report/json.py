@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import dump, picked, values_of
 from gpusimbench.evaluator.metrics.memory_model import MemoryModel
 from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.probe.json import probe_record
@@ -34,14 +34,14 @@ from gpusimbench.evaluator.runs.run import Run
 def to_json(evaluation: Evaluation) -> dict[str, Any]:
     """The document that ``gsb-eval --json`` prints; plain JSON values only."""
     reference, comparison = evaluation.reference, evaluation.comparison
-    document = {
+    document = {  # of results, which values_of makes JSON of
         "schema_version": SCHEMA_VERSION,
         "sample_time_s": evaluation.sample_time,
         "reference": {"file": str(reference.path), "label": reference.label, "measured": reference.measured}
         if reference
         else None,
         "reference_note": evaluation.reference_note,
-        "notes": list(evaluation.notes),
+        "notes": evaluation.notes,
         "groups": [_group(result) for result in evaluation.results],
         "recordings": [
             *(_recording(r) for result in evaluation.results for r in result.group.recordings),
@@ -51,14 +51,14 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
             ),
         ],
         "sweeps": [_sweep(sweep) for sweep in evaluation.sweeps],
-        "accumulation": list(evaluation.accumulation),
+        "accumulation": evaluation.accumulation,
         "convergence": [_convergence(one) for one in evaluation.convergences],
         "radar": {
             name: {axis.value: value for axis, value in axes.items()}
             for name, axes in (comparison.radar.values if comparison.radar else {}).items()
         },
         "compared": [contender_record(contender) for contender in comparison.contenders],
-        "guidelines": [vars(g) for g in comparison.guidelines],
+        "guidelines": comparison.guidelines,
         "protocol": {"rules": PROTOCOL, "findings": evaluation.unmet.count, "by_rule": dict(evaluation.unmet.findings)},
         "price_list": [family_record(family) for family in evaluation.price_list],
         "probes": [probe_record(one) for one in evaluation.probed],
@@ -71,19 +71,19 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
 def _convergence(one: Convergence) -> dict[str, Any]:
     """A reason stands in `why_not` where there is no order, and in `no_interval` where there is no interval."""
     found = one.found
-    record = {name: getattr(one, name) for name in ("label", "scene", "time", "finest", "what", "unit", "left_out")}
+    record = picked(one, "label scene time finest what unit left_out")
     if isinstance(found, Missing):
         return {**record, "order": None, "why_not": found.reason}
     return {
         **record,
-        "order": None if isinstance(found.order, Missing) else found.order,
-        "why_not": found.order.reason if isinstance(found.order, Missing) else "",
-        "ci95": None if isinstance(found.ci95, Missing) else list(found.ci95),
-        "no_interval": found.ci95.reason if isinstance(found.ci95, Missing) else "",
+        "order": known(found.order),
+        "why_not": why_missing(found.order),
+        "ci95": known(found.ci95),
+        "no_interval": why_missing(found.ci95),
         "asymptotic": found.asymptotic,
-        "dt": list(found.steps),
-        "error": list(found.errors),
-        "local_orders": [None if isinstance(order, Missing) else order for order in found.local],
+        "dt": found.steps,
+        "error": found.errors,
+        "local_orders": [known(order) for order in found.local],
     }
 
 
@@ -96,18 +96,7 @@ def _group(result: GroupResult) -> dict[str, Any]:
     key = result.group.key
     return {
         "label": result.label,
-        "simulator": key.simulator,
-        "version": key.version,
-        "device": key.device,
-        "scene": key.scene,
-        "n_env": key.n_env,
-        "dt": key.dt,
-        "seed": key.seed,
-        "determinism": key.determinism,
-        "initial": key.initial,
-        "vary": key.vary,
-        "intervention": key.intervention,
-        "keep": key.keep,
+        **picked(key, "simulator version device scene n_env dt seed determinism initial vary intervention keep"),
         "options": json.loads(key.options),
         "switches": json.loads(key.switches) if key.switches else {},
         "n_run": len(result.group.complete),
@@ -119,43 +108,28 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "faults": faults_record(faults(result)),
         "divergence": divergence_records(result),
         "physics": fidelity_record(result.fidelity),
-        "laws": [_law(law) for law in result.laws if isinstance(law, Law)],
-        "laws_missing": [vars(law) for law in result.laws if isinstance(law, Unmeasured)],
-        "deviations": [vars(d) for d in _deviations(result)],
-        "notes": list(result.notes),
+        "laws": [law for law in result.laws if isinstance(law, Law)],
+        "laws_missing": [law for law in result.laws if isinstance(law, Unmeasured)],
+        "deviations": _deviations(result),
+        "notes": result.notes,
     }
-
-
-def _law(law: Law) -> dict[str, Any]:
-    return {**vars(law), "sensitivities": [vars(one) for one in law.sensitivities]}
 
 
 def _validity(validity: Validity) -> dict[str, Any]:
     return {
-        "counters": [vars(c) for c in validity.counted],
+        "counters": validity.counted,
         "buffers": [{**vars(b.buffer), "needed": b.needed, "share": b.share} for b in validity.buffers],
-        "overflow": None if validity.overflow is None else [vars(o) for o in validity.overflow],
+        "overflow": validity.overflow,
         "overflow_told_by_all": validity.overflow_told.yes,
-        "actions": [vars(a) for a in validity.actions],
+        "actions": validity.actions,
     }
 
 
 def _sweep(sweep: Sweep) -> dict[str, Any]:
-    key = sweep.key
     return {
         "label": sweep.label,
-        "simulator": key.simulator,
-        "version": key.version,
-        "device": key.device,
-        "scene": key.scene,
-        "dt": key.dt,
-        "determinism": key.determinism,
-        "initial": key.initial,
-        "vary": key.vary,
-        "intervention": key.intervention,
-        "keep": key.keep,
-        "n_max": sweep.n_max,
-        "ends": sweep.ends,
+        **picked(sweep.key, "simulator version device scene dt determinism initial vary intervention keep"),
+        **picked(sweep, "n_max ends"),
         "points": [_point(point) for point in sweep.points],
         "memory_models": {
             **{name: _model(model) for name, model in sweep.models.items()},
@@ -197,14 +171,9 @@ def _deviations(result: GroupResult) -> tuple[Any, ...]:
 
 def _metric(metric: Estimate) -> dict[str, Any]:
     return {
-        "value": known(metric.value),
-        "unit": metric.unit,
-        "sd": metric.sd,
-        "ci95": list(metric.ci95) if metric.ci95 else None,
-        "n": metric.n,
+        **picked(metric, "value unit sd ci95 n"),
         "direction": metric.metric.direction,
-        "method": metric.method,
-        "exactness": metric.exactness,
+        **picked(metric, "method exactness"),
         "why_not": why_missing(metric.value),
         **({"extra": extra} if (extra := metric.details.record()) else {}),
     }
@@ -214,9 +183,7 @@ def _recording(recording: Run) -> dict[str, Any]:
     return {
         "file": str(recording.path),
         "content_hash": recording.content_hash or None,
-        "status": recording.status,
-        "reason": recording.reason,
-        "cause": recording.cause,
+        **picked(recording, "status reason cause"),
         "run_id": recording.provenance.run_id,
         "run_index": recording.configuration.run_index,
         "created_utc": recording.provenance.created_utc,

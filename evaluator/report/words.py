@@ -18,7 +18,6 @@ from gpusimbench.evaluator.results.details import (
     Growth,
     OverRuns,
     PublishedType,
-    Resampled,
     Throughput,
     ToReference,
 )
@@ -27,6 +26,7 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.validity import BufferUse, Counted, OverflowSeen, Validity
 from gpusimbench.evaluator.runs.groups import Group, shown_status
 from gpusimbench.evaluator.statistics.floor import Floor
+from gpusimbench.evaluator.statistics.regimes import RegimeProbabilities
 
 
 def trouble(group: Group[Described]) -> str:
@@ -169,20 +169,20 @@ def regime(metric: Estimate) -> str:
     return f"{number} (in {'all' if share == 1 else format(share, '.0%') + ' of'} resamples of {again.runs} runs)"
 
 
-def resampled(metric: Estimate) -> Resampled | None:
+def resampled(metric: Estimate) -> RegimeProbabilities | None:
     """Probabilities of the published types; None where there are none."""
     found = metric.of(PublishedType).resampled
     return None if isinstance(found, Missing) else found
 
 
-def alike(again: Resampled) -> str:
+def alike(again: RegimeProbabilities) -> str:
     """In what all runs of a published type are alike: in every bit, or rounded as the type is, with other bits."""
     if again.agreement == "bits":
         return f"all {again.runs} runs bit-identical"
     return f"all {again.runs} runs within 0.01 cm, {again.distinct} distinct"
 
 
-def another(again: Resampled) -> str:
+def another(again: RegimeProbabilities) -> str:
     """What is not excluded where all runs of a published type are alike: that another run differs."""
     how = "in some bit" if again.agreement == "bits" else "by 0.01 cm"
     below = 100 * (1.0 if again.run_differs_below is None else again.run_differs_below)

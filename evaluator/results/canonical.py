@@ -145,10 +145,11 @@ def _uniform(label: str, scene: str, found: LawCounts) -> Law | Unmeasured:
     count = sum(found.counts)
     load = Sensitivity("probability of a face", None, test.least, False, test.least)
     return Law(
-        label, scene, found.key, found.title, "", count, found.of, test.statistic, float(test.degrees),
-        test.statistic - test.degrees, None, test.critical - test.degrees, f"99.9 % of chi-squared; p = {test.p:.2g}",
-        test.statistic <= test.critical, (load,), 0.0,
-        found.absent if count < found.of else "", p=test.p,
+        label=label, scene=scene, key=found.key, title=found.title, unit="", count=count, of_envs=found.of,
+        measured=test.statistic, predicted=float(test.degrees), difference=test.statistic - test.degrees, ci95=None,
+        tolerance=test.critical - test.degrees, of=f"99.9 % of chi-squared; p = {test.p:.2g}",
+        held=test.statistic <= test.critical, sensitivities=(load,), spread=0.0,
+        absent=found.absent if count < found.of else "", p=test.p,
     )  # fmt: skip
 
 
@@ -184,13 +185,13 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
         return Sensitivity(parameter, float(slope), least, exact, breaks)
 
     return Law(
-        label, scene, first.key, first.title, first.unit, count, len(first.measured),
-        float(measured[there].mean()), float(predicted[there].mean()) if judged else None, mean if judged else None,
-        (low, high) if count > 1 else None, tolerance, first.of, held,
-        tuple(sensitivity(name, slope) for name, slope in first.slopes),
-        error * math.sqrt(count),
-        first.absent if count < len(first.measured) else "",
-        next((run.predicted.reason for run in alike if isinstance(run.predicted, Missing)), ""),
+        label=label, scene=scene, key=first.key, title=first.title, unit=first.unit, count=count,
+        of_envs=len(first.measured), measured=float(measured[there].mean()),
+        predicted=float(predicted[there].mean()) if judged else None, difference=mean if judged else None,
+        ci95=(low, high) if count > 1 else None, tolerance=tolerance, of=first.of, held=held,
+        sensitivities=tuple(sensitivity(name, slope) for name, slope in first.slopes),
+        spread=error * math.sqrt(count), absent=first.absent if count < len(first.measured) else "",
+        unjudged=next((run.predicted.reason for run in alike if isinstance(run.predicted, Missing)), ""),
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.evaluator.json_values import picked
 from gpusimbench.evaluator.metrics.cotenants import Presence, Sign
 from gpusimbench.evaluator.metrics.levels import Worst
 from gpusimbench.evaluator.metrics.memory import Checkpoints
@@ -15,6 +16,7 @@ from gpusimbench.evaluator.metrics.split_tree import SplitTree
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.speeds import Speeds
 from gpusimbench.evaluator.statistics.floor import Floor
+from gpusimbench.evaluator.statistics.regimes import RegimeProbabilities
 
 _OPTIONAL = {"optional": True}
 """Marks a field that JSON leaves out where it is None."""
@@ -353,29 +355,17 @@ class SunkCubes(Details):
 
 
 @dataclass(frozen=True)
-class Resampled:
-    """Probabilities of the published types, by resampling runs; see regimes.RegimeProbabilities."""
-
-    probabilities: tuple[float, float, float, float]
-    runs: int
-    decided_by: tuple[int, ...]
-    agreement: str
-    distinct: int
-    run_differs_below: float | None
-    parallel_below: float | None
-    method: str
-    draws: int
-    seed: int
-
-
-@dataclass(frozen=True)
 class PublishedType(Details):
-    """Of the published type."""
+    """Of the published type.
 
-    resampled: Resampled | Missing | None = None
+    resampled  how it would come out again; `decided_by` are indices of runs as they were recorded
+    """
+
+    resampled: RegimeProbabilities | Missing | None = None
 
     def record(self) -> dict[str, Any]:
         """The probabilities, or why there are none."""
         if isinstance(self.resampled, Missing):
             return {"probabilities_why_not": self.resampled.reason}
-        return dict(vars(self.resampled)) if self.resampled else {}
+        names = "probabilities runs decided_by agreement distinct run_differs_below parallel_below method draws seed"
+        return picked(self.resampled, names) if self.resampled else {}

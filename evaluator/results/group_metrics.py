@@ -29,7 +29,6 @@ from gpusimbench.evaluator.results.details import (
     OffTheBoard,
     OverRuns,
     PublishedType,
-    Resampled,
     SunkCubes,
     ToReference,
 )
@@ -38,7 +37,7 @@ from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metr
 from gpusimbench.evaluator.results.sampled import no_positions
 from gpusimbench.evaluator.statistics.floor import floor
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
-from gpusimbench.evaluator.statistics.regimes import MIN_RUNS, regime_probabilities
+from gpusimbench.evaluator.statistics.regimes import MIN_RUNS, RegimeProbabilities, regime_probabilities
 
 _SEED = 0
 
@@ -248,7 +247,7 @@ def _regime(metric: Metric, group: GroupRuns) -> Estimate:
 
 def _resampled(
     group: GroupRuns, per_run: Sequence[float], matrix: NDArray[np.float64] | None
-) -> Resampled | Missing:  # fmt: skip
+) -> RegimeProbabilities | Missing:  # fmt: skip
     if len(per_run) < MIN_RUNS:
         return Missing(f"needs at least {MIN_RUNS} runs")
     if matrix is None:
@@ -256,18 +255,7 @@ def _resampled(
     if len(group.classes) != len(matrix):
         return Missing("the runs cannot be compared by bits")
     found = regime_probabilities(per_run, matrix, group.classes, seed=_SEED)
-    return Resampled(
-        probabilities=found.probabilities,
-        runs=found.n_run,
-        decided_by=tuple(group.at_sample[at].configuration.run_index for at in found.decided_by),
-        agreement=found.agreement,
-        distinct=len(set(group.classes)),
-        run_differs_below=found.run_differs_below,
-        parallel_below=found.parallel_below,
-        method=found.method.value,
-        draws=found.n_draw,
-        seed=found.seed,
-    )
+    return replace(found, decided_by=tuple(group.at_sample[at].configuration.run_index for at in found.decided_by))
 
 
 W1_PARALLEL = Metric(

@@ -41,8 +41,8 @@ class RegimeProbabilities:
     agreement          "bits" or "rounding": in what they agree; empty where they do not
     parallel_below     all runs are alike in having parallel variability or none, so that another is not with less than
                        this probability, at 95 %; None where they are not alike
-    method, n_draw, seed   how the probabilities were drawn
-    n_run              runs at hand
+    method, draws, seed    how the probabilities were drawn
+    runs, distinct     runs at hand, and how many of them differ in any bit
     """
 
     observed: Regime
@@ -52,9 +52,10 @@ class RegimeProbabilities:
     agreement: str
     parallel_below: float | None
     method: Resampling
-    n_draw: int
+    draws: int
     seed: int
-    n_run: int
+    runs: int
+    distinct: int
 
 
 def regime_probabilities(
@@ -112,9 +113,10 @@ def regime_probabilities(
         agreement=agreement,
         parallel_below=upper_bound_of_none(n_run) if alike else None,
         method=method,
-        n_draw=n_draw,
+        draws=n_draw,
         seed=seed,
-        n_run=n_run,
+        runs=n_run,
+        distinct=len(set(labels.tolist())),
     )
 
 

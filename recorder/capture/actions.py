@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.capture.ranges import env_block
+from gpusimbench.recorder.capture.ranges import Ranges
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.schemas import topics
@@ -48,8 +48,7 @@ class ActionWriter:
         self._generated = bool(generator)
         if generator:
             expect(n_step * n_env * len(actions.joints) * np.dtype(np.float32).itemsize)
-        size = env_block(n_env)
-        self._blocks = [range(start, min(start + size, n_env)) for start in range(0, n_env, size)]
+        self._blocks = Ranges(n_env).each
         metadata = {
             "shape": "step,env,joint",
             "joints": ",".join(actions.joints),
@@ -81,26 +80,22 @@ class ActionWriter:
                 return [Part(generated_action(parts, self._streams.of(envs), envs.start))]
             return parts
 
-        begun = None if self._workers.alone else self._workers.start(encoded, self._blocks)
+        alone, blocks = self._workers.alone, self._workers.later(encoded, self._blocks)
 
         def end() -> None:
-            blocks = self._workers.start(encoded, self._blocks) if begun is None else begun
-            for envs, parts in zip(self._blocks, blocks, strict=True):
-                self._sink.write_parts(topics.action(self._name, envs.start), parts, sim_ns=time)
-            self._sink.flush()
-
-        def whole() -> None:
             try:
-                end()
+                for envs, parts in zip(self._blocks, blocks(), strict=True):
+                    self._sink.write_parts(topics.action(self._name, envs.start), parts, sim_ns=time)
+                self._sink.flush()
             except DataLost:
                 raise
             except Exception as error:
-                if not digested and begun is None:
+                if alone and not digested:
                     raise
                 # some are digested, or will be by other threads, and not written
                 raise self._sink.lost(error) from error
 
-        return whole
+        return end
 
 
 def _same_bits(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:

@@ -73,14 +73,8 @@ class EvidenceWriter:
             )
             return bytes(message.SerializeToString())
 
-        counts = list(evidence.counts.values())
-        begun = None if self._workers.alone else self._workers.start(summary, counts)
-
-        def end() -> list[str]:
-            summaries = self._workers.start(summary, counts) if begun is None else begun
-            return self._write(evidence, summaries, first_step=first_step)
-
-        return end
+        summaries = self._workers.later(summary, list(evidence.counts.values()))
+        return lambda: self._write(evidence, summaries(), first_step=first_step)
 
     def _write(self, evidence: Evidence, summaries: Iterable[bytes], *, first_step: int) -> list[str]:
         time = sim_time_ns(first_step, self._dt)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import psutil
 
-from gpusimbench.recorder.capture.ranges import env_block, row_bytes
+from gpusimbench.recorder.capture.ranges import Ranges, row_bytes
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.recorder.capture.writing import Block
 from gpusimbench.recorder.failure import NoHostMemory
@@ -37,8 +37,7 @@ class KeptStates:
         # zeros alone would give no memory yet
         self._arrays = [np.full(shape, 0, dtype=f.dtype) for shape, f in zip(shapes, fields, strict=True)]
         self._actions = np.full((rows, n_env, n_action), 0, dtype=np.float32)
-        size = env_block(n_env)
-        self._ranges = [slice(start, min(start + size, n_env)) for start in range(0, n_env, size)]
+        self._ranges = [slice(envs.start, envs.stop) for envs in Ranges(n_env).each]
         self._workers = workers
         self._blocks: list[Block] = []
         self._filled = 0

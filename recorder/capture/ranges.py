@@ -42,12 +42,14 @@ class Ranges:
     """The ranges of environments whose states are messages of their own.
 
     starts  first environment of each
+    each    environments of each
     alike   numbers of the ranges of the full size, and of the odd one behind them, where there are any
     """
 
     def __init__(self, n_env: int) -> None:
         self.n_env = n_env
         self.starts = range(0, n_env, env_block(n_env))
+        self.each = [range(start, min(start + self.starts.step, n_env)) for start in self.starts]
         even = n_env // env_block(n_env)
         self.alike = [ranges for ranges in (range(even), range(even, len(self.starts))) if ranges]
 

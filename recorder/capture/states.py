@@ -44,7 +44,7 @@ def write_fingerprints(
     sink.write(topics.fingerprint(phase), data, sim_ns=sim_time_ns(first_step, dt))
 
 
-class _Writing(NamedTuple):
+class _BegunRows(NamedTuple):
     """Rows that others make messages of.
 
     first_row  number of the first of them in the recording
@@ -225,7 +225,7 @@ class StateWriter:
                     self._end_writing(self._begin_writing())
                 self._sink.flush()
 
-    def _begin_writing(self, read: Read | None = None, *, as_read: bool = False) -> _Writing:
+    def _begin_writing(self, read: Read | None = None, *, as_read: bool = False) -> _BegunRows:
         # of all rows that are held back
         # read     what is to be hashed meanwhile
         # as_read  the rows are those, where they were read
@@ -244,7 +244,7 @@ class StateWriter:
         place = self._sink.place(self._topics, columns[0][0].nbytes) if self._process is not None else None
         whole = read.whole if as_read and read is not None else ()
         stored = Stored(self._held_first, columns, together, READ if as_read else HELD, place, whole)
-        return _Writing(
+        return _BegunRows(
             first_row=self._held_first // self._stride,
             columns=columns,
             last_step=self._held_first + (rows - 1) * self._stride,
@@ -252,13 +252,13 @@ class StateWriter:
             begun=self._work.begin(stored, read),
         )
 
-    def _end_writing(self, writing: _Writing) -> None:
+    def _end_writing(self, writing: _BegunRows) -> None:
         with self._sink.parting():
             self._write_blocks(writing)
         if self._view is not None:
             self._view.rows(writing.first_row, writing.columns, self._ranges.starts.step)
 
-    def _write_blocks(self, writing: _Writing) -> None:
+    def _write_blocks(self, writing: _BegunRows) -> None:
         for records in writing.begun.records:
             self._sink.append(self._topics, records)
         if not writing.begun.records:

@@ -64,6 +64,13 @@ class Workers:
         shares = [items[at : at + size] for at in range(0, len(items), size)]
         return chain.from_iterable(self._threads.map(lambda share: [work(item) for item in share], shares))
 
+    def later(self, work: Callable[[_S], _T], items: Sequence[_S]) -> Callable[[], Iterable[_T]]:
+        """Have other threads begin the work now, where there are any; what is returned gives the results in order."""
+        if self.alone:
+            return lambda: [work(item) for item in items]
+        begun = self.start(work, items)
+        return lambda: begun
+
     def end(self) -> None:
         """End the threads, once they have done what they are at."""
         if self._threads is not None:

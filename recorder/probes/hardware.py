@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.memory import BASELINE
-from gpusimbench.recorder.probes.sampling import Sampler
+from gpusimbench.recorder.probes.sampling import Reading, Sampler
 from gpusimbench.schemas import topics
 
 INTERVAL_S = 0.2
@@ -72,28 +72,21 @@ class Cpus:
         return max(0.0, (others - before[1]) / (now - before[0]))
 
 
-@dataclass(frozen=True)
-class HardwareReading:
-    """One reading of the host or of a GPU: the content of a HardwareSample, and its topic.
+class HardwareSampler(Sampler[Reading]):
+    """Reads the host and the GPUs at 5 Hz while running, and when told to.
 
-    values     by field of the message; what was not told is left out
-    not_known  one sentence for each field that is left out, in the first reading that it is true of
+    What was not told is left out of a reading, and one sentence says why, in the first reading that it is true of.
+
+    topics  that readings are of
     """
 
-    topic: str
-    device: int
-    monotonic_ns: int
-    phase: str
-    values: dict[str, float]
-    not_known: tuple[str, ...]
-
-
-class HardwareSampler(Sampler[HardwareReading]):
-    """Reads the host and the GPUs at 5 Hz while running, and when told to."""
+    message = "gsb.v1.HardwareSample"
+    metadata: ClassVar = {"rate": "5 Hz"}
 
     def __init__(self, gpus: Gpus, cpus: Cpus | None = None) -> None:
         super().__init__("hardware", INTERVAL_S)
         self._gpus = gpus
+        self.topics = [topics.HARDWARE_HOST, *map(topics.gpu_hardware, range(len(gpus)))]
         self._cpus = cpus or Cpus()
         self._cpus.other_cpus()  # from here on the load is counted
         self._said: dict[tuple[str, str], str] = {}
@@ -123,5 +116,6 @@ class HardwareSampler(Sampler[HardwareReading]):
     def _add(self, topic: str, device: int, now: int, told: dict[str, float], not_known: dict[str, str]) -> None:
         fresh = {name: why for name, why in not_known.items() if self._said.get((topic, name)) != why}
         self._said.update({(topic, name): why for name, why in fresh.items()})
-        reasons = tuple(f"{name}: {why}" for name, why in fresh.items())
-        self._readings.append(HardwareReading(topic, device, now, self.phase, told, reasons))
+        reasons = [f"{name}: {why}" for name, why in fresh.items()]
+        fields = {"device": device, "monotonic_ns": now, "phase": self.phase, "not_known": reasons, **told}
+        self._readings.append(Reading(topic, fields))

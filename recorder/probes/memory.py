@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar
 
 from gpusimbench.recorder.probes.gpu import Gpus
-from gpusimbench.recorder.probes.sampling import Sampler
+from gpusimbench.recorder.probes.sampling import Reading, Sampler
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.messages import enum_values
 
@@ -18,29 +18,16 @@ BASELINE = "baseline"
 """The phase in which nothing of the engine exists."""
 
 
-@dataclass(frozen=True)
-class Reading:
-    """One reading of one source: the content of a MemorySample, and its topic; None where the driver did not tell."""
-
-    topic: str
-    source: int
-    device: int
-    monotonic_ns: int
-    used_bytes: int
-    total_bytes: int
-    phase: str
-    checkpoint: str
-    other_processes: int | None = None
-    other_bytes: int | None = None
-    reserved_bytes: int | None = None
-
-
 class MemorySampler(Sampler[Reading]):
     """Reads host and GPU memory at 100 Hz while running, and at checkpoints when told to.
 
     allocator  of the engine on GPU 0: bytes in use and their peak; read at checkpoints alone, since engines do not
                promise that another thread may ask
+    topics     that readings are of
     """
+
+    message = "gsb.v1.MemorySample"
+    metadata: ClassVar = {"unit": "byte", "rate": "100 Hz and at checkpoints"}
 
     def __init__(self, gpus: Gpus) -> None:
         import psutil
@@ -49,6 +36,8 @@ class MemorySampler(Sampler[Reading]):
         self._process = psutil.Process()
         self._host_total = psutil.virtual_memory().total
         self._gpus = gpus
+        of_gpu = [topics.gpu_memory(i, of) for i in range(len(gpus)) for of in ("device", "process", "allocator")]
+        self.topics = [topics.MEMORY_HOST, *of_gpu]
         self._sources = enum_values("gsb.v1.MemorySource")
         self.allocator: Callable[[], tuple[int, int] | None] | None = None
 
@@ -101,5 +90,8 @@ class MemorySampler(Sampler[Reading]):
         checkpoint: str,
         **others: int | None,
     ) -> None:
-        number = self._sources[f"MEMORY_SOURCE_{source}"]
-        self._readings.append(Reading(topic, number, device, now, used, total, self.phase, checkpoint, **others))
+        fields = {
+            "source": self._sources[f"MEMORY_SOURCE_{source}"], "device": device, "monotonic_ns": now,
+            "used_bytes": used, "total_bytes": total, "phase": self.phase, "checkpoint": checkpoint, **others,
+        }  # fmt: skip
+        self._readings.append(Reading(topic, fields))

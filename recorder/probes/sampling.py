@@ -5,9 +5,16 @@ from __future__ import annotations
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 _R = TypeVar("_R")
+
+
+class Reading(NamedTuple):
+    """One reading for a recording: its topic, and the fields of its message by name; None where nothing told."""
+
+    topic: str
+    fields: dict[str, Any]
 
 
 class Sampler(ABC, Generic[_R]):

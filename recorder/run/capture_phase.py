@@ -29,6 +29,51 @@ from gpusimbench.schemas.fingerprint import expect
 from gpusimbench.schemas.treatment import Intervention, snapshot_name
 
 
+class _Blocks:
+    """Writes blocks of captured steps: states, the actions that led to them, and what the engine counted.
+
+    problem  the first state that is not finite, after which nothing is written; empty where all are
+    """
+
+    def __init__(
+        self, journal: Journal, c: RunConfiguration, states: StateWriter, simulator: Simulator, description: Description
+    ) -> None:
+        sink, actions, workers = journal.sink, simulator.scene.actions, states.workers
+        self._journal, self._states, self._first_step = journal, states, c.first_step
+        self._actions: ActionWriter | None = None
+        if actions is not None:
+            self._actions = ActionWriter(
+                sink, workers, actions, seed=c.seed, streams=simulator.streams, dt=c.dt, n_step=c.captured_steps
+            )
+        self._counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1, workers=workers)
+        self.problem = ""
+
+    def write(self, block: Block) -> None:
+        """Write the next block; nothing where a state before it is not finite."""
+        if self.problem:
+            return
+        if block.first_step != self._states.last_step + 1:
+            raise ValueError(
+                f"the simulator gave states up to step {self._states.last_step}, then from {block.first_step} on"
+            )
+        shown = block.captured.evidence() if block.first_step > self._first_step else None
+        begun: list[Callable[[], None]] = []
+
+        def begin() -> None:
+            # while this thread writes the states, others draw and digest the actions and add up the counts
+            if block.actions is not None and self._actions is not None:
+                begun.append(self._actions.begin(block.actions, block.captured.actions, block.first_step - 1))
+            if shown is not None:
+                count = self._counted.begin(shown, first_step=block.first_step)
+                begun.append(lambda: self._journal.counted(count()))
+
+        # before the actions: a file that is cut short has hashes of every step whose actions it has
+        problem = self._states.take(block.captured, begin)
+        for end in begun:
+            end()
+        self.problem = problem or ""
+
+
 class CapturePhase:
     """Steps a simulator and writes all of its states.
 
@@ -66,55 +111,13 @@ class CapturePhase:
             n_row=c.captured_steps + 1,
         )  # fmt: skip
         begin_anew(simulator, c)
-        drawn = simulator.scene.actions
-        actions = (
-            None
-            if drawn is None
-            else ActionWriter(
-                sink, writer.workers, drawn, seed=c.seed, streams=simulator.streams, dt=c.dt, n_step=c.captured_steps
+        blocks = _Blocks(self._journal, c, writer, simulator, description)
+        kept = None
+        if c.capture == "memory":
+            n_action = len(simulator.scene.actions.joints) if simulator.scene.actions else 0
+            kept = KeptStates(
+                description.fields, n_env=c.n_env, rows=c.captured_steps + 1, n_action=n_action, workers=writer.workers
             )
-        )
-        counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1, workers=writer.workers)
-        kept = (
-            KeptStates(
-                description.fields,
-                n_env=c.n_env,
-                rows=c.captured_steps + 1,
-                n_action=len(simulator.scene.actions.joints) if simulator.scene.actions else 0,
-                workers=writer.workers,
-            )
-            if c.capture == "memory"
-            else None
-        )
-        problems: list[str] = []
-
-        def write(block: Block) -> None:
-            if problems:
-                return  # nothing of use follows a state that is not finite
-            if block.first_step != writer.last_step + 1:
-                raise ValueError(
-                    f"the simulator gave states up to step {writer.last_step}, then from {block.first_step} on"
-                )
-            shown = block.captured.evidence() if block.first_step > c.first_step else None
-            act: Callable[[], None] | None = None
-            count: Callable[[], list[str]] | None = None
-
-            def begin() -> None:
-                # while this thread writes the states, others draw and digest the actions and add up the counts
-                nonlocal act, count
-                if block.actions is not None and actions is not None:
-                    act = actions.begin(block.actions, block.captured.actions, block.first_step - 1)
-                if shown is not None:
-                    count = counted.begin(shown, first_step=block.first_step)
-
-            # before the actions: a file that is cut short has hashes of every step whose actions it has
-            problem = writer.take(block.captured, begin)
-            if act is not None:
-                act()
-            if count is not None:
-                self._journal.counted(count())
-            if problem:
-                problems.append(problem)
 
         snapshots: dict[int, bytes] = {}
 
@@ -135,7 +138,7 @@ class CapturePhase:
 
         simulator.reserve(min(c.captured_steps, writer.steps_per_block))
         # until it has finished, the sink is its thread's
-        writing = Writing(kept.keep if kept else write)
+        writing = Writing(kept.keep if kept else blocks.write)
         clock = CaptureClock()
         try:
             try:
@@ -148,7 +151,7 @@ class CapturePhase:
                     block_steps=writer.steps_per_block,
                     prepare=lambda first, count: prepare(simulator, c, first, count),
                     progress=captured,
-                    stopped=lambda: bool(problems),
+                    stopped=lambda: bool(blocks.problem),
                     between=between,
                 )
             finally:
@@ -158,7 +161,7 @@ class CapturePhase:
                     if kept:
                         self._progress(interruption.ENDING, 0, 1)  # however long the disk takes
                         with interruption.shielded():
-                            kept.write(write)
+                            kept.write(blocks.write)
         except DataLost:
             raise
         except BaseException:
@@ -167,14 +170,14 @@ class CapturePhase:
             raise
         writer.flush()
         self._attach(snapshots)
-        if writer.last_step != c.steps and not problems:
+        if writer.last_step != c.steps and not blocks.problem:
             raise ValueError(f"the simulator gave states up to step {writer.last_step}, not of all {c.steps} steps")
         clock.written()
         self._write_clock(clock, writer)
-        if problems:
-            self._journal.gate(problems[0], "NOT_FINITE")
+        if blocks.problem:
+            self._journal.gate(blocks.problem, "NOT_FINITE")
         self._journal.ask_gates(simulator)
-        if not problems:
+        if not blocks.problem:
             write_applied(self._journal, simulator, c, c.first_step, c.captured_steps)
 
     def _attach(self, snapshots: dict[int, bytes]) -> None:

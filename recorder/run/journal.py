@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder import clock, interruption
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
+from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.view import LogWriter
-from gpusimbench.recorder.capture.watch import Watch
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.schemas import topics
@@ -108,20 +108,20 @@ class Journal:
 class Phase:
     """Marks a phase in the recording and in what is sampled. A context manager."""
 
-    def __init__(self, journal: Journal, watch: Watch, name: str) -> None:
+    def __init__(self, journal: Journal, sampling: Sampling, name: str) -> None:
         self._journal = journal
-        self._watch = watch
+        self._sampling = sampling
         self._name = name
 
     def __enter__(self) -> None:
         interruption.check()
         self._journal.phase = self._name
-        self._watch.enter(self._name)
+        self._sampling.enter(self._name)
         self._journal.event("PHASE_BEGIN")
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         if isinstance(error, DataLost):
             return  # the file takes nothing more
-        self._watch.leave()
+        self._sampling.leave()
         self._journal.event("PHASE_END")
-        self._watch.drain()
+        self._sampling.drain()

@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gpusimbench.recorder import clock, interruption
+from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.view import LogWriter
-from gpusimbench.recorder.capture.watch import Watch
 from gpusimbench.recorder.failure import Interrupted, TimedOut, cause_of
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
@@ -215,13 +215,13 @@ class Run:
             if configuration.view:
                 journal.shown_log = LogWriter(sink)
 
-        watch = Watch(sink, gpus)
+        sampling = Sampling(sink, gpus)
         try:
-            with Phase(journal, watch, "baseline"):
+            with Phase(journal, sampling, "baseline"):
                 for problem in filter(None, (clock.problem(), *gpus.problems)):
                     journal.event("NOTE", problem)
-                watch.checkpoint("baseline")
-                watch.start()
+                sampling.checkpoint("baseline")
+                sampling.start()
 
             if trouble or scene is None:
                 raise trouble or GsbError("no scene")
@@ -245,46 +245,46 @@ class Run:
                 return simulator
 
             with Engine(new_simulator, configuration.initial, self._inputs.get(GIVEN)) as engine:
-                with Phase(journal, watch, "init"):
+                with Phase(journal, sampling, "init"):
                     self._progress("init", 0, 1)
                     description = journal.clocked("build", engine.start)
                     self._write_description(sink, built, description)
-                    watch.use_allocator(engine.simulator.allocator_bytes)
+                    sampling.use_allocator(engine.simulator.allocator_bytes)
                     write_imported(journal, engine.simulator)
                     if stepped := [phase for phase in ("timed", "capture") if phase in configuration.phases]:
                         self._progress(COMPILE, 0, 1)
                         journal.compile(engine.simulator, stepped[0])
-                    watch.checkpoint("post-init")
+                    sampling.checkpoint("post-init")
                 if "timed" in configuration.phases:
-                    warm_up_and_time(journal, watch, engine, description, configuration, self._progress)
-                    watch.checkpoint("final")
+                    warm_up_and_time(journal, sampling, engine, description, configuration, self._progress)
+                    sampling.checkpoint("final")
                 if "capture" in configuration.phases and journal.worth_capturing:
                     if "timed" in configuration.phases:
-                        watch.use_allocator(None)
+                        sampling.use_allocator(None)
                         self._progress(REBUILD, 0, 1)
                         engine.start()
                         self._progress(COMPILE, 0, 1)
                         journal.compile(engine.simulator, "capture")
-                    with Phase(journal, watch, "capture"):
+                    with Phase(journal, sampling, "capture"):
                         before = len(journal.problems)
                         captured.run(engine.simulator, description)
                         if before and all(cause != "NOT_FINITE" for cause, _ in journal.problems[before:]):
                             journal.gate(_too_short(configuration), "NOT_FINITE")
                 if "timed" not in configuration.phases:
-                    watch.checkpoint("final")
-                watch.drain()
+                    sampling.checkpoint("final")
+                sampling.drain()
             if "import" in configuration.phases and isinstance(built, ModelScene) and not journal.problems:
-                watch.use_allocator(None)
+                sampling.use_allocator(None)
                 self._progress("import", 0, 1)
-                with Phase(journal, watch, "import"):
+                with Phase(journal, sampling, "import"):
                     write_trials(journal, built, make, dt=configuration.dt, seed=configuration.seed)
         except DataLost:
-            watch.stop()  # the file takes nothing more
+            sampling.stop()  # the file takes nothing more
             raise
         except BaseException:
-            _end_watch(journal, watch)
+            _end_sampling(journal, sampling)
             raise
-        _end_watch(journal, watch)
+        _end_sampling(journal, sampling)
 
     def _write_description(self, sink: Sink, scene: Scene, description: Description) -> None:
         timed = "timed" in self._configuration.phases
@@ -294,9 +294,9 @@ class Run:
             sink.attach(name, media_type, data)
 
 
-def _end_watch(journal: Journal, watch: Watch) -> None:
-    watch.stop()
-    for failed in watch.failures():
+def _end_sampling(journal: Journal, sampling: Sampling) -> None:
+    sampling.stop()
+    for failed in sampling.failures():
         journal.event("NOTE", failed)
 
 

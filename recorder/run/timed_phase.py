@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
 from gpusimbench.recorder.capture.motion import MOVING, with_motion
+from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.states import declare_fingerprints, write_fingerprints
-from gpusimbench.recorder.capture.watch import Watch
 from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.run.given_actions import given, write_applied
 from gpusimbench.recorder.run.journal import Journal, Phase
@@ -44,7 +44,7 @@ _SAMPLED = "memory is sampled from another thread at 100 Hz, clock rates from an
 
 def warm_up_and_time(
     journal: Journal,
-    watch: Watch,
+    sampling: Sampling,
     engine: Engine,
     description: Description,
     configuration: RunConfiguration,
@@ -59,20 +59,20 @@ def warm_up_and_time(
         sink, description, "timed", dt=configuration.dt, stride=max(1, steps), counters=(*description.counters, MOVING)
     )
     # The whole warm-up's clocks are kept too: its first step shows what compilation costs.
-    with Phase(journal, watch, "warmup"):
+    with Phase(journal, sampling, "warmup"):
         simulator.prepare(given(simulator, configuration, 0, warmup))
         progress("warmup", 0, warmup)
         gc.collect()  # takes a good part of a second with some engines, so not before each window
         clocks = _step(simulator, warmup, interval)
         begun = simulator.state()
         hashes = [fingerprint(begun)]
-        watch.checkpoint("post-warmup")
+        sampling.checkpoint("post-warmup")
     journal.timing("warmup", clocks, 0, interval, covers)
     if warmup:
         journal.count(with_motion(simulator.evidence(), description.fields, begun), counted, warmup)
     journal.ask_gates(simulator)
     simulator.prepare(given(simulator, configuration, warmup, steps))
-    with Phase(journal, watch, "timed"):
+    with Phase(journal, sampling, "timed"):
         progress("timed", 0, steps)  # and not again before the last step: throughput counts what lies between
         clocks = _step(simulator, steps, interval)
         state = simulator.state()

@@ -10,11 +10,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
+from gpusimbench.recorder.capture.array_hashes import Hashed
 from gpusimbench.recorder.interruption import postponed
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.rows import check_envs
-from gpusimbench.recorder.vector.ending import Ending, refuses_hashes
+from gpusimbench.recorder.vector.ending import Ending, Hashes
 from gpusimbench.recorder.vector.fields import NO_STEP, NOT_GIVEN, fields_of, recorded_dtype
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.infos import array_name, nothing_told, told
@@ -62,8 +62,7 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         self._dtypes: dict[str, np.dtype[Any]] = {}  # of what is put into it
         self._filled = 0  # of them; a reset may still replace what the last of them says
         self._made = 0  # steps
-        self._hashes: list[tuple[str, Hashed, int]] = []  # of calls before the first step, which begins the recording
-        self._hashing = False
+        self._hashes = Hashes()
 
     def reset(self, *, seed: Any = None, options: Any = None) -> Any:
         """See VectorEnv.reset."""
@@ -96,30 +95,17 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         """Keep files in the recording, before its first step: name -> (media type, bytes)."""
         self._attached |= files
 
-    def fingerprint(self, name: str, arrays: Any) -> None:
-        """Hash arrays of an update, such as a policy, a gradient or a batch; see RecordingWriter.fingerprint.
+    def _hash(self, name: str, arrays: Any) -> None:
+        states, begun = self._made + 1 if self._start is not None else 0, self._log is not None
+        write = (lambda *found: self._recording(lambda: self._write_hashes(*found))) if begun else None
+        self._hashes.take(name, arrays, states=states, ended=self._ended, write=write)
 
-        With fingerprints, the recording ends when step is called more often than `steps`, or when the environment is
-        closed: so that what follows the last step is in it. Later calls are not recorded.
+    def _write_hashes(self, name: str, found: Hashed, states: int) -> None:
+        assert self._log is not None
+        self._log.fingerprint(name, found, states=states)
 
-        UsageError as there, and where the recording has ended before the first call.
-        """
-        if refuses_hashes(ended=self._ended, hashing=self._hashing):
-            return
-        self._hashing = True
-        found = hashed(arrays, checked_name(name))
-        states = self._made + 1 if self._start is not None else 0
-        if self._log is None:
-            self._hashes.append((name, found, states))
-        else:
-            self._recording(lambda: self._hash(name, found, states))
-
-    def close(self, **keywords: Any) -> Any:
-        """See VectorEnv.close. A recording of fewer steps than were asked for ends as failed, and says so."""
-        try:
-            self._end(None)
-        finally:
-            self.env.close(**keywords)
+    def _close(self, **keywords: Any) -> None:
+        self.env.close(**keywords)
 
     def _recording(self, function: Callable[[], Any]) -> Any:
         # an error of the environment, or of the recording, is the recording's end
@@ -185,9 +171,7 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         self._dtypes = {name: array.dtype for name, array in row.items()}
         self._put(0, row)
         self._filled = 1
-        for name, hashes, states in self._hashes:
-            self._hash(name, hashes, states)
-        self._hashes = []
+        self._hashes.begin(self._write_hashes)
 
     def _stepped(self, given: Row, observation: Any, reward: Any, terminated: Any, truncated: Any, info: Any) -> None:
         seen = self._seen(_arrays(observation, "observation", copy=False))
@@ -207,12 +191,8 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         self._put(self._filled, {**given, **seen, **self._states(), **of_step, **last, **self._counts(), **of_info})
         self._filled += 1
         self._made += 1
-        if self._made == self._steps and not self._hashing:
+        if self._made == self._steps and not self._hashes.given:
             self._end(None)
-
-    def _hash(self, name: str, found: Hashed, states: int) -> None:
-        assert self._log is not None
-        self._log.fingerprint(name, found, states=states)
 
     def _seen(self, arrays: Row) -> Row:
         return self._images.recorded(arrays, self._of_images)

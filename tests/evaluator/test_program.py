@@ -12,7 +12,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.diff.compare import compare
-from gpusimbench.evaluator.diff.parts import Kind, Part
+from gpusimbench.evaluator.diff.program_parts import Kind, Part
 from gpusimbench.evaluator.diff.result import Difference, Verdict
 from gpusimbench.evaluator.diff.verdict import verdict_of
 from gpusimbench.evaluator.read.recording import Recording

@@ -17,8 +17,8 @@ from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.capture.samples import SampleWriter
 from gpusimbench.recorder.capture.sink import Sink
-from gpusimbench.recorder.capture.watch import HardwareWriter
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.hardware import Cpus, HardwareSampler
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -161,11 +161,12 @@ def _recorded(tmp_path: Path, nvml: _Nvml, monkeypatch: pytest.MonkeyPatch) -> R
     monkeypatch.setitem(sys.modules, "pynvml", nvml)
     with Gpus(hidden=True) as gpus:
         sink = Sink(tmp_path / "run.mcap", compression="none")
-        writer = HardwareWriter(sink, HardwareSampler(gpus, Cpus(_machine(tmp_path, khz=None, mhz=None))), 1)
+        sampler = HardwareSampler(gpus, Cpus(_machine(tmp_path, khz=None, mhz=None)))
+        writer = SampleWriter(sink, sampler)
         for phase, reasons, busy in (("warmup", 0x1, 0), ("timed", 0x4, 90), ("timed", 0x24, "Unknown Error")):
             nvml._told |= {"reasons": reasons, "busy": busy}
-            writer.sampler.phase = phase
-            writer.sampler.read_now()
+            sampler.phase = phase
+            sampler.read_now()
         writer.drain()
     asked = RunConfiguration("s", "free-fall", 1, 0.01, 1)
     sink.attach(PROVENANCE, "application/json", Provenance("id", "", (), asked).to_json().encode())

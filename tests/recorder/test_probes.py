@@ -13,8 +13,8 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
-from gpusimbench.recorder.capture.watch import Watch
 from gpusimbench.recorder.probes.gpu import Gpus, Processes
 from gpusimbench.recorder.probes.software import package_list
 from gpusimbench.recorder.run.environment import apply_environment
@@ -184,7 +184,7 @@ def test_co_tenants_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "pynvml", nvml)
     with Gpus(hidden=True) as gpus:
         sink = Sink(tmp_path / "run.mcap", compression="none")
-        writer = Watch(sink, gpus)
+        writer = Sampling(sink, gpus)
         writer.enter("baseline")
         writer.checkpoint("baseline")
         writer.enter("timed")

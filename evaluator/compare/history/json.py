@@ -8,8 +8,8 @@ from gpusimbench.evaluator.compare.history.curves import Curve, Sample, Shift
 from gpusimbench.evaluator.compare.history.history import Fact, History, Traced
 from gpusimbench.evaluator.compare.history.points import ORDER
 from gpusimbench.evaluator.compare.history.words import headline
-from gpusimbench.evaluator.json_values import dump, values_of
-from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.json_values import dump, picked, values_of
+from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.results.metric import Axis
 
 SCHEMA_VERSION = 1
@@ -26,9 +26,7 @@ def dump_json(history: History) -> str:
             "exit_code": int(history.exit_code),
             "order": ORDER,
             "settings": {
-                "alpha": settings.alpha,
-                "threshold": settings.threshold,
-                "outcome_cm": settings.outcome_cm,
+                **picked(settings, "alpha threshold outcome_cm"),
                 "gates": [axis.value for axis in Axis if axis in settings.gates] if history.gated else [],
                 "curves_tested": history.tests,
             },
@@ -58,14 +56,9 @@ def dump_json(history: History) -> str:
 
 
 def _configuration(one: Traced, history: History) -> dict[str, Any]:
-    key = one.series.key
     return {
         "label": one.series.label,
-        "simulator": key.simulator,
-        "scene": key.scene,
-        "n_env": key.n_env,
-        "dt": key.dt,
-        "determinism": key.determinism,
+        **picked(one.series.key, "simulator scene n_env dt determinism"),
         "device": one.series.device,
         "points": [
             {
@@ -84,12 +77,9 @@ def _configuration(one: Traced, history: History) -> dict[str, Any]:
 def _curve(curve: Curve, history: History) -> dict[str, Any]:
     metric = curve.metric
     return {
-        "name": metric.name,
-        "title": metric.title,
-        "unit": metric.unit,
+        **picked(metric, "name title unit"),
         "axis": curve.axis.value,
-        "direction": metric.direction.value,
-        "method": metric.method,
+        **picked(metric, "direction method"),
         "scale": "logarithm" if curve.logs else "value",
         "exact": curve.exact,
         "smallest_visible": curve.visible,
@@ -100,14 +90,9 @@ def _curve(curve: Curve, history: History) -> dict[str, Any]:
 
 
 def _sample(sample: Sample) -> dict[str, Any]:
-    missing = isinstance(sample.value, Missing)
-    return {
-        "point": sample.point,
-        "value": None if isinstance(sample.value, Missing) else sample.value,
-        "why_not": sample.value.reason if isinstance(sample.value, Missing) else None,
-        "ci95": None if missing else values_of(sample.ci95),
-        "n": sample.n,
-    }
+    why_not = why_missing(sample.value) or None
+    record = {**picked(sample, "point value"), "why_not": why_not, **picked(sample, "ci95 n")}
+    return {**record, "ci95": None} if why_not else record
 
 
 def _shift(shift: Shift, history: History) -> dict[str, Any]:
@@ -118,13 +103,9 @@ def _shift(shift: Shift, history: History) -> dict[str, Any]:
 def _fact(fact: Fact, history: History) -> dict[str, Any]:
     finding = fact.finding
     return {
-        "point": fact.point,
-        "previous": fact.previous,
+        **picked(fact, "point previous"),
         "label": history.points[fact.point].label,
-        "axis": finding.axis.value,
-        "name": finding.name,
-        "title": finding.title,
-        "change": finding.change.value,
+        **picked(finding, "axis name title change"),
         "said": {"before": finding.said[0], "after": finding.said[1]},
         "before": finding.base,
         "after": finding.head,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from gpusimbench.evaluator.json_values import dump
+from gpusimbench.evaluator.json_values import dump, picked
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.share.dataset.contents import DAMAGED
 from gpusimbench.evaluator.share.dataset.publish import Published
@@ -84,14 +84,10 @@ def dump_verification(verification: Verification) -> str:
         "schema_version": SCHEMA_VERSION,
         "gpusimbench": __version__,
         "exit_code": int(verification.exit_code),
-        "title": manifest.title,
-        "licence": manifest.licence,
-        "written_by": manifest.written_by,
+        **picked(manifest, "title licence written_by"),
         "content_sha256": manifest.identity,
         "files": len(manifest.sums) + 2,
-        "recordings": verification.recordings,
-        "bytes": verification.bytes,
-        "fetched_bytes": verification.fetched_bytes,
+        **picked(verification, "recordings bytes fetched_bytes"),
         "tables": list(verification.tables),
         "findings": [{"kind": f.kind.word, "path": f.path, "said": f.said} for f in verification.findings],
         "not_looked_at": list(verification.unchecked),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import dump, picked, values_of
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.evidence_json import estimate_record
 from gpusimbench.evaluator.results.details import Throughput
@@ -30,7 +30,7 @@ def dump_json(board: Board) -> str:
             "sample_time_s": board.sample_time,
             "sections": [_section(section) for section in board.sections],
             "unreadable": [{"file": name, "why": why} for name, why in board.unreadable],
-            "notes": list(board.notes),
+            "notes": board.notes,
         })
     )  # fmt: skip
 
@@ -49,30 +49,24 @@ def _section(section: Section) -> dict[str, Any]:
 def _row(row: Row) -> dict[str, Any]:
     key, metrics = row.key, row.result.metrics
     return {
-        "place": row.place,
-        "no_place": row.no_place,
+        **picked(row, "place no_place"),
         "label": row.result.label,
-        "simulator": key.simulator,
-        "version": key.version,
-        "determinism": key.determinism,
+        **picked(key, "simulator version determinism"),
         "options": json.loads(key.options),
         "switches": json.loads(key.switches or "{}"),
-        "n_env": key.n_env,
-        "warmup": key.warmup,
-        "timed_steps": key.timed_steps,
+        **picked(key, "n_env warmup timed_steps"),
         "runs": row.result.group.outcomes,
         "throughput": _metric(row.fps),
-        "co_tenants": row.fps.of(Throughput).co_tenants,
-        "speeds": row.fps.of(Throughput).speeds,
+        **picked(row.fps.of(Throughput), "co_tenants speeds"),
         "timed": timed.timed_record(row.result.timed),
         "memory": _metric(row.memory),
         "n_env_max": row.sweep.n_max if row.sweep else None,
         "sweep_ends": row.sweep.ends if row.sweep else None,
         **{name: _metric(metrics[name]) for name in ("distinct_envs", "distinct_runs", "regime_published")},
-        "gates": list(row.gates),
+        "gates": row.gates,
         "protocol": words.deviations(row),
         "reproduction": row.reproduction,
-        "recordings": [vars(entry) for entry in row.entries],
+        "recordings": row.entries,
     }
 
 

@@ -88,24 +88,15 @@ class RecordedFunctional(Ending):
             raise
         return returned
 
-    def fingerprint(self, name: str, arrays: Any) -> None:
-        """Hash arrays of an update, such as a policy, a gradient or a batch; see RecordingWriter.fingerprint.
-
-        With fingerprints, the recording ends when step is called more often than `steps`, or at close. UsageError as
-        there, and where the recording has ended before the first call.
-        """
+    def _hash(self, name: str, arrays: Any) -> None:
         self._log.fingerprint(name, arrays, reset=self._began is not None)
-
-    def close(self) -> None:
-        """End the recording. With fewer steps than were asked for it ends as failed, and says so."""
-        try:
-            self._log.end(None)
-        finally:
-            if callable(close := getattr(self._env, "close", None)):
-                close()
 
     def _end(self, error: BaseException | None) -> None:
         self._log.end(error)
+
+    def _close(self, **keywords: Any) -> None:
+        if callable(close := getattr(self._env, "close", None)):
+            close(**keywords)
 
     def _begin(self, state: Any, action: Any) -> states.Layout:
         """Bring the rows that are there to the state that a step begins in."""

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.capture.array_hashes import Hashed, checked_name, hashed
+from gpusimbench.recorder.capture.array_hashes import Hashed
 from gpusimbench.recorder.capture.workers import alone
 from gpusimbench.recorder.capture.writing import Writing
 from gpusimbench.recorder.interruption import postponed
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.history import History, Reset, Which
 from gpusimbench.recorder.vector.device.rows import OBSERVATION, Arrays, Columns, Rows, check_envs
-from gpusimbench.recorder.vector.ending import refuses_hashes
+from gpusimbench.recorder.vector.ending import Hashes
 from gpusimbench.recorder.vector.fields import GIVEN, NO_STEP, NOT_GIVEN, fields_of, recorded_dtype
 from gpusimbench.recorder.vector.images import Images
 from gpusimbench.recorder.vector.modes import FINAL, Mode
@@ -123,8 +123,7 @@ class DeviceLog:
         self._log: HostLog | None = None
         self._writing: Writing[_Job] | None = None
         self._resets: dict[int, Reset] = {}
-        self._hashes: list[tuple[str, Hashed, int]] = []  # of calls before the first step, which begins the recording
-        self._hashing = False
+        self._hashes = Hashes()
         self._process = os.getpid()
         self.made = 0
         self.ended = False
@@ -150,8 +149,7 @@ class DeviceLog:
             raise
         self._log, self._writing = log, Writing(lambda job: job.work(), alone=True)
         self._process = os.getpid()
-        for name, found, states in self._hashes:
-            log.fingerprint(name, found, states)
+        self._hashes.begin(log.fingerprint)
 
     def make_room(self) -> None:
         """Have a full block written; called before the environment makes the step of the next row."""
@@ -162,7 +160,7 @@ class DeviceLog:
         """The row of a step. The last one ends the recording, unless arrays may still be hashed."""
         self._rows.keep(row)
         self.made += 1
-        if self.made == self._steps and not self._hashing:
+        if self.made == self._steps and not self._hashes.given:
             self.end(None)
 
     def replace(self, row: Arrays, which: Which | NDArray[np.bool_]) -> None:
@@ -175,20 +173,13 @@ class DeviceLog:
         self._resets[at] = Reset((*(former.which if former else ()), which), before)
 
     def fingerprint(self, name: str, arrays: Any, *, reset: bool) -> None:
-        """See wrapper.Recorded.fingerprint.
+        """See Ending.fingerprint.
 
         reset  whether environments were reset before the first step
         """
-        if refuses_hashes(ended=self.ended, hashing=self._hashing):
-            return
-        self._hashing = True
-        found = hashed(arrays, checked_name(name))
-        states = self.made + 1 if self.begun or reset else 0
-        log = self._log
-        if log is None:
-            self._hashes.append((name, found, states))
-        else:
-            self._put(lambda: log.fingerprint(name, found, states))
+        states, log = self.made + 1 if self.begun or reset else 0, self._log
+        write = (lambda *found: self._put(lambda: log.fingerprint(*found))) if log else None
+        self._hashes.take(name, arrays, states=states, ended=self.ended, write=write)
 
     def past_the_end(self) -> None:
         """A step is called; the recording ends where it has all of its steps."""

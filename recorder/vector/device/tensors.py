@@ -132,23 +132,14 @@ class RecordedTensors(Ending):
             raise
         return returned
 
-    def fingerprint(self, name: str, arrays: Any) -> None:
-        """Hash arrays of an update, such as a policy, a gradient or a batch; see RecordingWriter.fingerprint.
-
-        With fingerprints, the recording ends when step is called more often than `steps`, or at close. UsageError as
-        there, and where the recording has ended before the first call.
-        """
+    def _hash(self, name: str, arrays: Any) -> None:
         self._log.fingerprint(name, arrays, reset=self._start is not None)
-
-    def close(self, **keywords: Any) -> Any:
-        """End the recording. With fewer steps than were asked for it ends as failed, and says so."""
-        try:
-            self._log.end(None)
-        finally:
-            self.env.close(**keywords)
 
     def _end(self, error: BaseException | None) -> None:
         self._log.end(error)
+
+    def _close(self, **keywords: Any) -> None:
+        self.env.close(**keywords)
 
     def _reset(self, observation: Any, seed: Any = None, options: Any = None, env_ids: Any = None, **_: Any) -> None:
         seen = _copied(observation, "observation")
