@@ -253,6 +253,14 @@ def test_the_test_of_one_law_in_words(law: LawTest, expected: str) -> None:
     assert words.endswith(expected)
 
 
+def test_missing_runs_have_a_price(five: list[Recording]) -> None:
+    """Say how long the runs would take that the test asks for, from the time that the replays took."""
+    replays = replace(made([five[4]] * 2), seconds=128.0)
+    verdict = held((five[0],), replays, (five[4], five[4]), max_ulps=4).verdict
+    assert verdict is not None and verdict.level is None
+    assert verdict.rungs[-1].said.endswith("give --runs 19 (about 20 min 16 s on this machine)")
+
+
 def test_levels_of_a_p_value_at_the_border() -> None:
     """Reject at exactly five per cent, and be able to at exactly that."""
     assert replace(LAW, p_value=0.05).rejects
