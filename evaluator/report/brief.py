@@ -30,7 +30,7 @@ from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.schemas.text import first
 
-_NOTES, _EPISODES = 2, 8
+_NOTES, _EPISODES, _QUESTIONS = 2, 8, 3
 _PLACE = ("scene", "device")
 """What names a table where there are several."""
 
@@ -151,7 +151,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:
-        yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings)}")
+        yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings, named=_QUESTIONS)}")
     for sweep in evaluation.sweeps:
         if sweep.long and sweep.measured:
             yield Text(sweep_sentence(sweep))
