@@ -116,6 +116,11 @@ def test_the_first_difference_is_in_numbers(five: list[Recording]) -> None:
     audit = Audit((five[0],), made(five[4:]), (five[4],), compare(five[0], five[4]))
     text = lines(audit)
     assert "differs: from step 5 (5 s), first in env 1, in 1 env at that step" in text
+    found = compare(five[0], five[4])
+    assert found.first is not None
+    strided = replace(audit, difference=replace(found, first=replace(found.first, after_step=0)))
+    said = "from step 5 (5 s); equal up to step 0, no step in between is known; first in env 1, in 1 env at that step"
+    assert f"differs: {said}" in lines(strided)
     (number,) = [line for line in text if "cubes/position" in line]
     assert ", z: 0.03 there, 2.03 here, " in number
     assert number.endswith(" ULP, 2 m")
