@@ -172,7 +172,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
 
 def _troubles(evaluation: Evaluation) -> Iterator[Text]:
     for failure in evaluation.unreadable[:3]:
-        yield Text(f"left out: {failure.error}", Tone.BAD)
+        yield Text(f"left out: {failure.error.advised}", Tone.BAD)
     if len(evaluation.unreadable) > 3:
         yield Text(f"left out: {len(evaluation.unreadable) - 3} more files that cannot be read", Tone.BAD)
     runs = [run for result in evaluation.results for run in result.group.recordings]
