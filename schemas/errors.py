@@ -5,6 +5,7 @@ GsbError                  1  something failed
 ├── RecordingError        3  a file cannot be read as what it should be
 │   ├── NotARecording     3  it is something else: not MCAP, another profile, an unknown format version
 │   ├── DamagedRecording  3  bytes are missing or changed
+│   │   └── FailedCrc     3  bytes are not those that were written
 │   └── Unreachable       3  it is elsewhere and cannot be had: no such file, no access, no connection
 ├── DataLost              3  finished, but data was lost
 ├── GateFailed            4  a regression, an audit mismatch, a broken rule
@@ -32,6 +33,14 @@ class GsbError(Exception):
 
     exit_code = ExitCode.FAILURE
 
+    advice = ""
+    """What to do, where that is the same for all errors of a class and the message does not say it."""
+
+    @property
+    def advised(self) -> str:
+        """The message, and what to do."""
+        return "; ".join(filter(None, (str(self), self.advice)))
+
 
 NUMBERS_OF_A_STRANGER = (ValueError, OverflowError, KeyError, IndexError, MemoryError)
 """What Python and numpy raise for numbers in a file that they cannot take: the file is damaged."""
@@ -51,6 +60,13 @@ class NotARecording(RecordingError):
 
 class DamagedRecording(RecordingError):
     pass
+
+
+class FailedCrc(DamagedRecording):
+    advice = (
+        "the file was changed or damaged after it was written: fetch it again from whoever recorded it; gsb-check FILE "
+        "says what can still be read"
+    )
 
 
 class Unreachable(RecordingError):

@@ -126,6 +126,10 @@ def test_single_precision_is_not_the_state(tmp_path: Path) -> None:
     lost = json.loads(call("gsb-replay", "b.hdf5", *given, "--episodes", 2, code=4, cwd=tmp_path).stdout)
     assert (len(lost["episodes"]), lost["began_otherwise"]) == (2, 2)  # neither seed nor state is known
     assert lost["settings"] == []  # the format has a version, and the data set tells no keywords
+    flat(tmp_path / "c.hdf5", of, np.float32, physics=False)
+    module = ("--env", "gymnasium.envs.mujoco:Reacher-v5", *given[2:])  # of which Gymnasium's id says nothing
+    lost = json.loads(call("gsb-replay", "c.hdf5", *module, "--episodes", 2, code=4, cwd=tmp_path).stdout)
+    assert lost["settings"] == []
     assert (
         "the data set does not say which versions and which machine made it; a difference there may be the reason"
         in lost["warnings"]

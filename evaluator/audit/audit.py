@@ -156,6 +156,7 @@ def held(originals: tuple[Recording, ...], replays: Replays, found: tuple[Record
         max_ulps=max_ulps,
         originals=len(originals),
         compared=compared(differences[0]),
+        each_s=replays.seconds / len(found),
     )
     shown = next((i for i, d in enumerate(differences) if not d.bit_identical), 0)
     return Audit(

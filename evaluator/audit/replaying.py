@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -82,11 +83,13 @@ class Replays:
     command  as a user would type it
     made     those that were begun
     refused  why none was; empty where at least one was
+    seconds  from the start of the first to the end of the last [s]
     """
 
     command: str
     made: tuple[Made, ...]
     refused: str
+    seconds: float = 0.0
 
 
 def make_replays(original: Recording, path: Path, plan: ReplayPlan, say: Callable[[str], None]) -> Replays:
@@ -96,13 +99,15 @@ def make_replays(original: Recording, path: Path, plan: ReplayPlan, say: Callabl
 
     Raises as `record`.
     """
+    begun = time.monotonic()
     if plan.command is not None:
         words = plan.program(original.configuration.seed)
         runs = run_program(words, plan.runs, plan.out, plan.timeout or 0, say)
-        return Replays(shlex.join(words), tuple(_made(run, original, path.name) for run in runs), "")
+        took = time.monotonic() - begun
+        return Replays(shlex.join(words), tuple(_made(run, original, path.name) for run in runs), "", took)
     given = plan.arguments(path)
     made, refused = record(given, say)
-    return Replays(shlex.join([COMMAND, *given]), made, refused)
+    return Replays(shlex.join([COMMAND, *given]), made, refused, time.monotonic() - begun)
 
 
 def _made(run: ProgramRun, original: Recording, name: str) -> Made:

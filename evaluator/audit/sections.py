@@ -7,7 +7,7 @@ from gpusimbench.evaluator.audit.checking import RULES, Check
 from gpusimbench.evaluator.audit.verdict import Level, Rung
 from gpusimbench.evaluator.diff import program_words
 from gpusimbench.evaluator.diff.result import Difference, Divergence
-from gpusimbench.evaluator.diff.verdict import apart, place_of
+from gpusimbench.evaluator.diff.verdict import apart, equal_before, gap_before, place_of
 from gpusimbench.evaluator.diff.words import differ
 from gpusimbench.evaluator.render.document import (
     Block,
@@ -162,7 +162,8 @@ def _rung(rung: Rung) -> tuple[str, Cell]:
 def _first(first: Divergence) -> Cell:
     of = " of the timed phase" if first.phase == "timed" else ""
     envs = f"first in env {first.env_a}, in {plural(first.envs, 'env')} at that step"
-    said = f"from step {first.step_a} ({first.time:g} s){of}, {envs}"
+    gap = equal_before(first) if gap_before(first) else ""
+    said = f"from step {first.step_a} ({first.time:g} s){of}{gap}{';' if gap else ','} {envs}"
     if first.state is None:
         return Cell(said)
     n, at = first.state.number, first.state

@@ -8,6 +8,7 @@ from enum import Enum
 
 from gpusimbench.evaluator.audit.distribution import ALPHA, LawTest, Unit, runs_needed
 from gpusimbench.evaluator.results.claims import every
+from gpusimbench.schemas.commands.progress import duration
 
 
 class Level(Enum):
@@ -84,6 +85,7 @@ def ladder(
     max_ulps: int,
     originals: int,
     compared: str = "every bit",
+    each_s: float = 0.0,
 ) -> Verdict:
     """The verdict over all replays: a level holds where it holds for each of them.
 
@@ -91,6 +93,7 @@ def ladder(
     max_ulps   largest distance in units in the last place that counts as "within"
     originals  how many there are
     compared   what is the same where a replay is bit-identical
+    each_s     how long a replay takes on this machine [s], from those that were made; 0 where that is not known
     """
     rungs = [_bits(matches, compared), _order(matches), _ulps(matches, max_ulps)]
     reached = next((rung.level for rung in rungs if rung.holds), None)
@@ -100,7 +103,7 @@ def ladder(
         kept = [rung for rung in rungs if rung.level not in below]
         return Verdict((*kept, *(Rung(level, True, follows) for level in below)), reached, None)
     law = test()
-    rungs.append(_law(law, originals))
+    rungs.append(_law(law, originals, each_s))
     by_law = {True: Level.SAME_DISTRIBUTION, False: Level.DIFFERENT, None: None}
     return Verdict(tuple(rungs), by_law[rungs[-1].holds], law)
 
@@ -150,7 +153,7 @@ def _whole(rung: Rung, matches: Sequence[Match]) -> Rung:
     return Rung(rung.level, None, said)
 
 
-def _law(law: LawTest | str, originals: int) -> Rung:
+def _law(law: LawTest | str, originals: int, each_s: float) -> Rung:
     if isinstance(law, str):
         return Rung(Level.SAME_DISTRIBUTION, None, law)
     floor = f"up to {law.floor_q95_cm:.3g} cm in 95 % if they have one distribution"
@@ -159,11 +162,17 @@ def _law(law: LawTest | str, originals: int) -> Rung:
     if law.envs_per_run < law.envs:
         said += f", {law.envs_per_run} of {law.envs} envs each"
     if law.unit is Unit.ENVIRONMENTS:
-        said += "; without power if results depend on the number of an environment: --runs "
-        said += f"{runs_needed(originals)} would exchange runs"
+        said += "; without power if results depend on the number of an environment: "
+        said += f"{_more_runs(originals, each_s)} would exchange runs"
     if law.rejects:
         return Rung(Level.SAME_DISTRIBUTION, False, said)
     if not law.can_reject:
-        few = f"too few to show a difference (p is at least {law.least_p:.2g}): give --runs {runs_needed(originals)}"
+        few = f"too few to show a difference (p is at least {law.least_p:.2g}): give {_more_runs(originals, each_s)}"
         return Rung(Level.SAME_DISTRIBUTION, None, f"{said}; {few}")
     return Rung(Level.SAME_DISTRIBUTION, True, f"{said}; not rejected at {ALPHA:g}")
+
+
+def _more_runs(originals: int, each_s: float) -> str:
+    """The option with which the test can reject, and how long its replays would take on this machine."""
+    count = runs_needed(originals)
+    return f"--runs {count}" + (f" (about {duration(count * each_s)} on this machine)" if each_s else "")

@@ -237,7 +237,7 @@ def _present(
     if work.store:
         work.store.prune()
     for _, failure in found.unreadable:
-        complain("gsb-compare", str(failure.error))
+        complain("gsb-compare", failure.error.advised)
     answer(arguments.json, dumped, shown)
     for path, text in files:
         if path:

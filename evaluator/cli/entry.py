@@ -55,7 +55,7 @@ def enter(
                 code = run(arguments, shlex.join([parser.prog, *map(shown_argument, given)]))
         sys.stdout.flush()
     except GsbError as error:
-        complain(parser.prog, str(error))
+        complain(parser.prog, error.advised)
         return int(error.exit_code)
     except KeyboardInterrupt:
         complain(parser.prog, "interrupted")

@@ -19,6 +19,9 @@ what the first finished episodes would have given. Recordings are those of gpusi
 Choose K before you record, and record K times the time limit of an episode (K steps more if the autoreset mode is
 NextStep): then every environment has K episodes.
 
+Several recordings count together. Choose seeds that are at least the number of environments apart: environments that
+begin with the same seed and start are averaged, and count once.
+
 exit codes:
   0  the episodes were evaluated, whichever policy is better
   1  the results cannot be written
@@ -30,7 +33,7 @@ examples:
   gsb-episodes policy.mcap --success success --per-env 4
   gsb-episodes policy.mcap --success success --per-env 1 --against baseline.mcap
   gsb-episodes policy-*.mcap --success success --per-env 4 --across n_env
-  gsb-episodes seed0.mcap seed1.mcap --json - | jq .policy.quantities
+  gsb-episodes seed0.mcap seed64.mcap --json - | jq .policy.quantities
 """
 
 

@@ -121,7 +121,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if work.store:
         work.store.prune()
     for failure in evaluation.unreadable:
-        complain("gsb-eval", str(failure.error))
+        brief = evaluation.results and arguments.json != "-"  # what is printed then says what to do
+        complain("gsb-eval", str(failure.error) if brief else failure.error.advised)
     for said in left_below(arguments.files):
         show(line(f"gsb-eval: {said}"), error=True)
     if not evaluation.results:

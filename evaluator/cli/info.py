@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         try:
             found.append(inspect(examined))
         except GsbError as error:
-            complain("gsb-info", str(error))
+            complain("gsb-info", error.advised)
             unreadable.append((path, error))
             continue
         if arguments.json != "-":

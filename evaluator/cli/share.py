@@ -151,7 +151,7 @@ def _pack(arguments: argparse.Namespace) -> int:
         try:
             copied = pack(file, path, level=arguments.level) if packing else unpack(file, path)
         except GsbError as error:
-            complain("gsb-share", str(error))
+            complain("gsb-share", error.advised)
             code = max(code, error.exit_code)
         else:
             show(line(_line(copied)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, judged, not_compared
-from gpusimbench.evaluator.compare.seeds import seed_of
 from gpusimbench.evaluator.episodes.comparison import difference_of, pairs_of
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS
 from gpusimbench.evaluator.episodes.side import Episodes, choose, read_side
@@ -51,48 +50,24 @@ def compare_episodes(base: Runs, head: Runs, settings: Settings) -> Sequence[tup
     except NothingComparable as error:
         return [(Axis.EPISODES, not_compared(Axis.EPISODES, RETURN, _TITLES[RETURN], str(error)))]
     n = (len(base), len(head))
-    formed, of_seeds = pairs_of(other, one).formed, _alike_by_seed((one, base), (other, head))
-    asked = []
-    for name, before, after in _quantities(one, other):
-        was, now = _by_env(before, base), _by_env(after, head)
-        together = of_seeds or (formed and len(was) == len(now))
-        asked.append((_AXES[name], _compared(name, was, now, n, settings, together=together)))
-    return asked
+    together = pairs_of(other, one).formed
+    return [
+        (_AXES[name], _compared(name, one.by_cluster(before), other.by_cluster(after), n, settings, together=together))
+        for name, before, after in _quantities(one, other)
+    ]
 
 
 def _tells_success(run: Run) -> bool:
     return any((one.group, one.field, one.width) == (ENV, f"info_{SUCCESS}", 1) for one in run.fields)
 
 
-def _quantities(one: Episodes, other: Episodes) -> list[tuple[str, Values, Values]]:
-    found: list[tuple[str, NDArray[Any], NDArray[Any]]]
-    found = [(RETURN, one.returns, other.returns), (LENGTH, one.lengths, other.lengths)]
+def _quantities(one: Episodes, other: Episodes) -> list[tuple[str, NDArray[Any], NDArray[Any]]]:
+    found: list[tuple[str, NDArray[Any], NDArray[Any]]] = [
+        (RETURN, one.returns, other.returns),
+        (LENGTH, one.lengths, other.lengths),
+    ]
     if one.success is not None and other.success is not None:
         found.insert(0, (SUCCESS, one.success, other.success))
-    return [(name, before.astype(np.float64), after.astype(np.float64)) for name, before, after in found]
-
-
-def _by_env(values: Values, runs: Runs) -> Values:
-    """Values [env, episode] of independent environments: means over the runs that began with the same seeds."""
-    return np.concatenate([np.mean(alike, axis=0) for alike in _by_seed(values, runs).values()])
-
-
-def _alike_by_seed(base: tuple[Episodes, Runs], head: tuple[Episodes, Runs]) -> bool:
-    """Whether all runs of both sides that have a seed in common began alike, and both sides have the same seeds: then
-    episodes of one place of `_by_env` are pairs, however many runs each seed has."""
-    if base[0].starts.dtype != head[0].starts.dtype:
-        return False
-    one, other = (_by_seed(side.starts, runs) for side, runs in (base, head))
-    return list(one) == list(other) and all(
-        np.array_equal(first[0], run) for seed, first in one.items() for run in (*first, *other[seed])
-    )
-
-
-def _by_seed(values: NDArray[Any], runs: Runs) -> dict[Hashable, list[NDArray[Any]]]:
-    """What each run has of rows [env, ...], by seed."""
-    found: dict[Hashable, list[NDArray[Any]]] = {}
-    for run, of_run in zip(runs, np.split(values, len(runs)), strict=True):
-        found.setdefault(seed_of(run), []).append(of_run)
     return found
 
 

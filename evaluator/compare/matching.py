@@ -7,7 +7,8 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from gpusimbench.evaluator.compare.seeds import seed_of, without_seeds
+from gpusimbench.evaluator.compare.seeds import without_seeds
+from gpusimbench.evaluator.episodes.clusters import seed_of
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, precisions
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import chain
 
 from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, not_compared
+from gpusimbench.evaluator.episodes.clusters import seed_of
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.metric import Axis
@@ -32,12 +33,6 @@ def without_seeds(key: GroupKey, group: Group[Run]) -> GroupKey:
     asked = json.loads(key.options or "{}")
     options = {name: value for name, value in asked.items() if name not in (RESET_SEEDS, RESET_KEYS)}
     return replace(key, seed=0, options=json.dumps(options, sort_keys=True))
-
-
-def seed_of(run: Run) -> Hashable:
-    """What runs must have in common to be repetitions of each other; a run without a seed is none of any other."""
-    seeds, keys = (run.configuration.options.get(name) for name in (RESET_SEEDS, RESET_KEYS))
-    return run.provenance.run_id if seeds == NO_SEED else (run.configuration.seed, seeds, keys)
 
 
 def seeds_said(base: Runs, head: Runs) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gpusimbench.evaluator.diff import program_words, words
 from gpusimbench.evaluator.diff.result import Contacts, Difference, Divergence, Growth, Side
-from gpusimbench.evaluator.diff.verdict import both_of, pair_of, step_of
+from gpusimbench.evaluator.diff.verdict import both_of, equal_before, pair_of, step_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Facts, facts
 
@@ -50,11 +50,7 @@ def _compared(found: Difference) -> str:
 
 
 def _first(found: Difference, first: Divergence) -> Pairs:
-    said = step_of(found, first)
-    if first.after_step is not None:
-        said += f"; equal up to step {first.after_step}"
-        if first.after_step < first.step_a - 1:
-            said += ", no step in between is known"
+    said = step_of(found, first) + equal_before(first)
     if found.compared.n_env > 1:
         pairs = f"{first.envs:,} of {found.compared.n_env:,} pairs of envs differ at that step"
         said += f"; {pairs}, first {pair_of(found, first)}"

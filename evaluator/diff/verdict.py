@@ -28,7 +28,7 @@ def verdict_of(found: Difference, who: str = "") -> Text:
     if found.program is not None and found.program.first is not None:
         return Text(program_words.sentence(found.program, found.program.first, who, found.a.dt), Tone.BAD)
     assert found.first is not None
-    since = f"differ {_since(found, found.first)}"
+    since = _since(found, found.first)
     if found.same_up_to_env_order:
         return Text(f"{who} are equal up to the order of environments; env by env, they {since}.", Tone.BAD)
     if found.same_up_to_body_order and any(field.different for field in found.compared.fields):
@@ -44,6 +44,18 @@ def step_of(found: Difference, first: Divergence) -> str:
     """The first step that differs, with its time; of which phase, where the capture is known beside it."""
     step = f"{first.step_a}" if first.step_a == first.step_b else f"{first.step_a} of a, {first.step_b} of b"
     return f"step {step} ({first.time:g} s){' of the timed phase' if _beside_capture(found, first) else ''}"
+
+
+def gap_before(first: Divergence) -> bool:
+    """Whether steps before it are not known, at any of which the two may have parted."""
+    return first.after_step is not None and first.after_step < first.step_a - 1
+
+
+def equal_before(first: Divergence) -> str:
+    """Up to which step the two are equal, to be added to the first step that differs; empty where none is before it."""
+    if first.after_step is None:
+        return ""
+    return f"; equal up to step {first.after_step}{', no step in between is known' if gap_before(first) else ''}"
 
 
 def pair_of(found: Difference, first: Divergence) -> str:
@@ -90,8 +102,12 @@ def _who(found: Difference) -> str:
 
 
 def _since(found: Difference, first: Divergence) -> str:
-    step = step_of(found, first)
-    return f"from {step} on" if _stays(found, first) else f"first at {step}"
+    step, stays = step_of(found, first), _stays(found, first)
+    if not gap_before(first):
+        return f"differ from {step} on" if stays else f"differ first at {step}"
+    state = "the next recorded state" if found.one_recording else "the next state that both recorded"
+    differ = f"differ from {state} on" if stays else f"differ first at {state}"
+    return f"are equal at step {first.after_step} and {differ}, {step}"
 
 
 def _where(found: Difference, first: Divergence) -> str:

@@ -85,8 +85,10 @@ def compare(first: Episodes, second: Episodes) -> Comparison:
     pairs = pairs_of(first, second)
     differences = []
     if first.success is not None and second.success is not None:
-        differences.append(_of_success(first.success, second.success, together=pairs.formed))
-    differences.append(difference_of(RETURN, "unknown", first.returns, second.returns, together=pairs.formed))
+        flags = (first.by_cluster(first.success), second.by_cluster(second.success))
+        differences.append(_of_success(*flags, together=pairs.formed))
+    returns = (first.by_cluster(first.returns), second.by_cluster(second.returns))
+    differences.append(difference_of(RETURN, "unknown", *returns, together=pairs.formed))
     adjusted = holm([one.p_value for one in differences])
     return Comparison(
         pairs, tuple(replace(one, adjusted_p=p) for one, p in zip(differences, adjusted, strict=True))
@@ -94,18 +96,28 @@ def compare(first: Episodes, second: Episodes) -> Comparison:
 
 
 def pairs_of(first: Episodes, second: Episodes) -> Pairs:
-    """Which episodes of two policies belong together; see Pairs."""
-    numbers = [[one.configuration.n_env for one in side.side.recordings] for side in (first, second)]
-    if numbers[0] != numbers[1] or first.starts.dtype != second.starts.dtype:
+    """Which episodes of two policies belong together; see Pairs. Repeats of an environment are in one pair."""
+    starts = [side.cluster_starts for side in (first, second)]
+    numbers = [_added(side) for side in (first, second)]
+    if numbers[0] != numbers[1] or starts[0].dtype != starts[1].dtype:
         return Pairs(0, 0)
-    return Pairs(int((first.starts == second.starts).sum()), first.starts.size)
+    return Pairs(int((starts[0] == starts[1]).sum()), starts[0].size)
 
 
-def _of_success(first: NDArray[np.bool_], second: NDArray[np.bool_], *, together: bool) -> Difference:
-    found = difference_of(SUCCESS, "1", first.astype(np.float64), second.astype(np.float64), together=together)
+def _added(side: Episodes) -> list[int]:
+    """How many environments each recording adds that repeat none of an earlier one, where it adds any."""
+    ends = [side.side.envs_of(file).stop for file in range(len(side.side.recordings))]
+    known = [len(np.unique(side.clusters[:end])) for end in ends]
+    return [number for number in np.diff([0, *known]).tolist() if number]
+
+
+def _of_success(first: NDArray[np.float64], second: NDArray[np.float64], *, together: bool) -> Difference:
+    found = difference_of(SUCCESS, "1", first, second, together=together)
     if not together:
         return found
-    discordant = Discordant(int((first & ~second).sum()), int((~first & second).sum()))
+    if any((side % 1).any() for side in (first, second)):
+        return replace(found, discordant=Missing("repeats of an environment have both outcomes"))
+    discordant = Discordant(int((first > second).sum()), int((first < second).sum()))
     if first.shape[1] > 1:  # pairs of one environment are not independent
         return replace(found, discordant=discordant)
     p = mcnemar(discordant.only_first, discordant.only_second)

@@ -95,9 +95,9 @@ def dependences(groups: Sequence[Episodes]) -> tuple[Dependence, ...]:
     Environments are taken to be independent. Where several groups began with the same seeds, their episodes began
     alike: then the groups are nearer to each other than by chance, and p-values too large rather than too small.
     """
-    flags = [one.success for one in groups if one.success is not None]
-    found = [_dependence(SUCCESS, [array.mean(axis=1) for array in flags])] if len(flags) == len(groups) else []
-    found.append(_dependence(RETURN, [one.returns.mean(axis=1) for one in groups]))
+    flags = [one.by_cluster(one.success).mean(axis=1) for one in groups if one.success is not None]
+    found = [_dependence(SUCCESS, flags)] if len(flags) == len(groups) else []
+    found.append(_dependence(RETURN, [one.by_cluster(one.returns).mean(axis=1) for one in groups]))
     adjusted = holm([one.p_value for one in found])
     return tuple(replace(one, adjusted_p=p) for one, p in zip(found, adjusted, strict=True))
 

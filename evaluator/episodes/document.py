@@ -57,6 +57,12 @@ def warnings(of: Outcome) -> Iterator[str]:
             f"{plural(len(of.repeats), 'recording')} left out, bit for bit the same as one that counts: "
             f"{few(of.repeats, _NUMBERS)}. Repeated runs of one seed are no further sample; record other seeds for more"
         )
+    if repeats := of.n_env - of.clusters:
+        yield (
+            f"{repeats} of {of.n_env} environments began as another one of their seed did: these repeats are averaged, "
+            f"so that {plural(of.clusters, 'environment')} count. For more, record seeds at least the number of "
+            "environments apart"
+        )
     for quantity in of.quantities:
         early = quantity.finish_order
         if early.biased:
@@ -78,10 +84,10 @@ def warnings(of: Outcome) -> Iterator[str]:
             f"recordings of {few(list(map(str, of.n_envs)), _NUMBERS)} environments are evaluated together; --across "
             "n_env tests whether results depend on that number"
         )
-    if of.distinct_starts < _MOST_DISTINCT * of.episodes:
+    if of.distinct_starts < _MOST_DISTINCT * of.clusters * of.per_env:
         yield (
-            f"{of.distinct_starts} distinct first observations among {of.episodes} episodes: if task and policy are "
-            "deterministic, episodes that began alike are copies, and the intervals are too narrow"
+            f"{of.distinct_starts} distinct first observations among {of.clusters * of.per_env} episodes: if task and "
+            "policy are deterministic, episodes that began alike are copies, and the intervals are too narrow"
         )
 
 

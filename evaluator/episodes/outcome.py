@@ -81,6 +81,7 @@ class Outcome:
     repeats        recordings that are left out, because their bits are those of one of `files`
     scene          task
     n_env          environments of all recordings
+    clusters       of these, without repeats of a seed; each counts as one environment, and its repeats are averaged
     n_envs         environments of a recording: the different numbers, ascending
     per_env        episodes of each that count: its first ones
     chosen         where per_env comes from
@@ -90,7 +91,7 @@ class Outcome:
     left_out       episodes that finished and do not count
     terminated     of those that count; the others were truncated
     mean_length    of those that count [step]
-    distinct_starts  different first observations among them
+    distinct_starts  different first observations among those of environments without repeats
     quantities     success, if a flag was named, and return
     """
 
@@ -98,6 +99,7 @@ class Outcome:
     repeats: tuple[str, ...]
     scene: str
     n_env: int
+    clusters: int
     n_envs: tuple[int, ...]
     per_env: int
     chosen: Choice
@@ -125,6 +127,7 @@ def outcome(episodes: Episodes, chosen: Choice, success: str | None, at: At) -> 
         repeats=tuple(str(recording.path) for recording in side.repeats),
         scene=side.recordings[0].configuration.scene,
         n_env=episodes.n_env,
+        clusters=episodes.n_cluster,
         n_envs=tuple(sorted({recording.configuration.n_env for recording in side.recordings})),
         per_env=episodes.per_env,
         chosen=chosen,
@@ -134,7 +137,7 @@ def outcome(episodes: Episodes, chosen: Choice, success: str | None, at: At) -> 
         left_out=int(sum(table.ended.sum() for table in side.tables)) - episodes.returns.size,
         terminated=int(episodes.terminated.sum()),
         mean_length=float(episodes.lengths.mean()),
-        distinct_starts=len(np.unique(episodes.starts)),
+        distinct_starts=len(np.unique(episodes.cluster_starts)),
         quantities=tuple(quantities),
     )
 
@@ -165,14 +168,14 @@ def _success(
         successes(one, table, rows, name, at).astype(np.float64)
         for one, table, rows in zip(side.recordings, side.tables, first, strict=True)
     ]
-    values = flags.astype(np.float64)
+    values = episodes.by_cluster(flags)
     several = episodes.per_env > 1
-    widened = ", or resampled environments where they differ more" if several and episodes.n_env >= FEWEST else ""
+    widened = ", or resampled environments where they differ more" if several and len(values) >= FEWEST else ""
     return Quantity(
         name=SUCCESS,
         unit="1",
         mean=float(values.mean()),
-        ci95=rate_interval(flags),
+        ci95=rate_interval(values),
         method=f"Wilson{widened}",
         iqm=Missing("of a flag it would say nothing"),
         iqm_ci95=Missing("of a flag it would say nothing"),
@@ -183,7 +186,8 @@ def _success(
 
 
 def _return(episodes: Episodes, first: tuple[NDArray[np.int64], ...]) -> Quantity:
-    values, error = episodes.returns, error_of_mean(episodes.returns)
+    values = episodes.by_cluster(episodes.returns)
+    error = error_of_mean(values)
 
     def iqm_of(drawn: NDArray[np.int64]) -> NDArray[np.float64]:
         return interquartile_mean(values[drawn].reshape(len(drawn), -1))
@@ -229,21 +233,22 @@ def _finish_order(
     first: tuple[NDArray[np.int64], ...],
     of_first: list[NDArray[np.float64]],
 ) -> FinishOrder:
-    # of each environment: how many of its episodes are among the first, and the sum of their values
-    side, n_env = episodes.side, episodes.n_env
+    # of each cluster, per environment: how many of its episodes are among the first, and the sum of their values
+    side = episodes.side
     envs = np.concatenate(
         [table.env[rows] + side.envs_of(i).start for i, table, rows in zip(count(), side.tables, first, strict=False)]
     )
-    number = np.bincount(envs, minlength=n_env)
-    total = np.bincount(envs, weights=np.concatenate(of_first), minlength=n_env)
+    n_env = episodes.n_env
+    number = episodes.by_cluster(np.bincount(envs, minlength=n_env))
+    total = episodes.by_cluster(np.bincount(envs, weights=np.concatenate(of_first), minlength=n_env))
     by_env = values.mean(axis=1)
 
     def difference(drawn: NDArray[np.int64]) -> NDArray[np.float64]:
         counted = number[drawn].sum(axis=1)
-        early = total[drawn].sum(axis=1) / np.maximum(counted, 1)
+        early = total[drawn].sum(axis=1) / np.where(counted > 0, counted, 1)
         return np.where(counted > 0, early - by_env[drawn].mean(axis=1), 0.0)  # of none that finished, nothing is known
 
-    ci95 = interval_over_cases(difference, n_env) or _FEW
+    ci95 = interval_over_cases(difference, len(values)) or _FEW
     mean = float(total.sum() / number.sum())
     return FinishOrder(
         mean=mean,

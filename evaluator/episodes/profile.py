@@ -42,11 +42,11 @@ def profiles(sides: Sequence[Episodes]) -> Profiles:
     """The profiles of policies, in their order."""
     returns = np.concatenate([side.returns.ravel() for side in sides])
     thresholds = np.linspace(returns.min(), returns.max(), _THRESHOLDS)
-    return Profiles(tuple(thresholds.tolist()), tuple(_profile(side.returns, thresholds) for side in sides))
+    return Profiles(tuple(thresholds.tolist()), tuple(_profile(side, thresholds) for side in sides))
 
 
-def _profile(returns: NDArray[np.float64], thresholds: NDArray[np.float64]) -> Profile:
-    by_env = (returns[:, :, None] > thresholds).mean(axis=1)  # [env, threshold]
+def _profile(side: Episodes, thresholds: NDArray[np.float64]) -> Profile:
+    by_env = side.by_cluster((side.returns[:, :, None] > thresholds).mean(axis=1))  # [cluster, threshold]
     bands = [mean_interval(column) for column in by_env.T]
     known = [band for band in bands if band is not None]
     low, high = (tuple(band[end] for band in known) or None for end in (0, 1))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.evaluator.episodes.clusters import clusters_of
 from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.read.episode_table import (
     EpisodeTable,
@@ -70,6 +71,7 @@ class Episodes:
     success    None where no flag was named
     terminated whether they ended so; the others were truncated
     starts     the first observation of each as bytes
+    clusters   of each environment, [env]: environments that repeat each other have one number; see clusters.py
     """
 
     side: Side
@@ -79,6 +81,27 @@ class Episodes:
     terminated: NDArray[np.bool_]
     success: NDArray[np.bool_] | None
     starts: NDArray[Any]
+    clusters: NDArray[np.int64]
+
+    @property
+    def n_cluster(self) -> int:
+        """Environments without repeats."""
+        return int(self.clusters.max()) + 1
+
+    def by_cluster(self, values: NDArray[Any]) -> NDArray[np.float64]:
+        """Means over the environments of each cluster, [cluster, ...], from values [env, ...]."""
+        if self.n_cluster == self.n_env:
+            return values.astype(np.float64)
+        total = np.zeros((self.n_cluster, *values.shape[1:]))
+        np.add.at(total, self.clusters, values)
+        size = np.bincount(self.clusters).reshape(-1, *(1 for _ in values.shape[1:]))
+        found: NDArray[np.float64] = total / size
+        return found
+
+    @property
+    def cluster_starts(self) -> NDArray[Any]:
+        """The starts of the first environment of each cluster, [cluster, episode]."""
+        return np.asarray(self.starts[np.unique(self.clusters, return_index=True)[1]])
 
     @property
     def n_env(self) -> int:
@@ -188,6 +211,7 @@ def choose(side: Side, per_env: int, success: str | None, at: At) -> Episodes:
     if success is not None:
         of_all = zip(side.recordings, side.tables, rows, strict=True)
         flags = np.concatenate([successes(one, table, at_rows, success, at) for one, table, at_rows in of_all])
+    seen = [_first_seen(*of) for of in zip(side.recordings, side.tables, rows, strict=True)]
     return Episodes(
         side=side,
         rows=rows,
@@ -195,15 +219,20 @@ def choose(side: Side, per_env: int, success: str | None, at: At) -> Episodes:
         lengths=column(lambda table: table.length),
         terminated=column(lambda table: table.terminated),
         success=flags,
-        starts=np.concatenate([_starts(*of) for of in zip(side.recordings, side.tables, rows, strict=True)]),
+        starts=np.concatenate([_starts(one, at.shape) for one, at in zip(seen, rows, strict=True)]),
+        clusters=clusters_of(side.recordings, [{k: v[::per_env] for k, v in one.items()} for one in seen]),
     )
 
 
-def _starts(recording: Recording, table: EpisodeTable, rows: NDArray[np.int64]) -> NDArray[Any]:
+def _first_seen(recording: Recording, table: EpisodeTable, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
     at = rows.ravel()
     seen = first_observations(recording, table.env[at], table.first_row[at])
     if not seen:
         raise NothingComparable(f"{recording.path} has no observations, by which episodes are told apart")
+    return seen
+
+
+def _starts(seen: dict[str, NDArray[Any]], shape: tuple[int, ...]) -> NDArray[Any]:
     parts = [np.ascontiguousarray(array).view(np.uint8) for array in seen.values()]
     joined = np.ascontiguousarray(np.concatenate(parts, axis=1))
-    return joined.view(np.dtype((np.void, joined.shape[1])))[:, 0].reshape(rows.shape)
+    return joined.view(np.dtype((np.void, joined.shape[1])))[:, 0].reshape(shape)

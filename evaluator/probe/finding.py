@@ -10,6 +10,7 @@ from typing import NamedTuple
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.pairs import Found
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.text import few
 
 
 class Answer(StrEnum):
@@ -50,12 +51,15 @@ class Asked(NamedTuple):
     detail: str = ""
 
 
-def verdict_of(findings: Sequence[Finding]) -> str:
-    """One sentence: how many answers are yes, and which are no."""
+def verdict_of(findings: Sequence[Finding], *, named: int = 0) -> str:
+    """One sentence: how many answers are yes, and which are no.
+
+    named  how many questions whose answer is yes are named; none where a table of all questions follows
+    """
     asked = [one for one in findings if one.answer is not Answer.NOT_ASKED]
-    yes = [one for one in asked if one.answer is Answer.YES]
+    yes = [one.title for one in asked if one.answer is Answer.YES]
     said = f"{len(yes)} of {len(asked)} answers are yes" if asked else "nothing was asked"
-    parts = [said]
+    parts = [f"{said} ({few(yes, named)})" if yes and named else said]
     for answer in (Answer.NO, Answer.OPEN):
         if titles := [one.title for one in findings if one.answer is answer]:
             parts.append(f"{answer.value}: {', '.join(titles)}")

@@ -24,6 +24,8 @@ _CAUSES = ("options.", "version", "dt", "software.", "host.cpu", "gpu")
 _OF_FILES = ("options.", "dt")
 """What a data set says of itself; software and machine of its recording are those that read the data set."""
 
+_ID = "options.env_id"
+
 _NO_CAUSES = (
     "options.infos",
     "options.seeds",
@@ -117,9 +119,15 @@ def compare(original: Recording, replay: Recording, *, success: str | None, at: 
             if one.name.startswith(causes)
             and not one.name.startswith(_NO_CAUSES)
             and not (of_data_set and one.a == UNSET)  # which most data sets do not tell
+            and not _same_task(one)
         ),
         of_data_set=of_data_set,
     )
+
+
+def _same_task(setting: Setting) -> bool:
+    """Whether two ids of Gymnasium's registry are of one task, though one of them names a module to import before."""
+    return setting.name == _ID and setting.a.rpartition(":")[2] == setting.b.rpartition(":")[2]
 
 
 def _by_env(recording: Recording) -> Iterator[tuple[int, list[Episode]]]:

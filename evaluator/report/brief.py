@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import name_of
@@ -30,7 +31,10 @@ from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.schemas.text import first
 
-_NOTES, _EPISODES = 2, 8
+_SHORT = "* "
+"""Before a throughput that was timed for less than the protocol asks; numbers stay in line."""
+
+_NOTES, _EPISODES, _QUESTIONS = 2, 8, 3
 _PLACE = ("scene", "device")
 """What names a table where there are several."""
 
@@ -44,6 +48,8 @@ def brief(evaluation: Evaluation) -> Document:
     """The document of a terminal's first page."""
     results = evaluation.results
     body: list[Block] = [_one(results[0])] if len(results) == 1 else [*_several(evaluation)]
+    if any(result.timed.unreliable for result in usual(results)):
+        body.append(Text(f"{_SHORT}{timed.TOO_SHORT}", Tone.WARNING))
     body += [Text(laws_sentence(result.laws)) for result in usual(results) if result.laws]
     if numbers := {result.group.key.n_env for result in results if counts_of(result)}:
         body.append(Text(_TASKS.format(_ACROSS if len(numbers) > 1 else ""), Tone.QUIET))
@@ -86,7 +92,7 @@ def _one(result: GroupResult) -> Facts:
     if any(known(result.metrics[metric.name].value) is not None for metric in (W1_REAL, TOSS_LOCAL_POSITION)):
         answers.append((TO_REFERENCE.title, _joined(TO_REFERENCE.answer([result]))))
     figures = [
-        (metric.titled, _line(estimate(result.metrics[metric.name])))
+        (metric.titled, _line(_fps(result) if metric is FPS else estimate(result.metrics[metric.name])))
         for metric in METRICS.values()
         if metric.axis in (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD)
         and not isinstance(result.metrics[metric.name].value, Missing)
@@ -136,7 +142,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
                 name,
                 f"{key.n_env:,} x {len(result.group.complete)}",
                 *(_text(q.answer([result])) for q in questions),
-                _text(estimate(result.metrics[FPS.name])),
+                _text(_fps(result)),
             ]
         )
     for place, rows in tables.items():
@@ -151,7 +157,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:
-        yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings)}")
+        yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings, named=_QUESTIONS)}")
     for sweep in evaluation.sweeps:
         if sweep.long and sweep.measured:
             yield Text(sweep_sentence(sweep))
@@ -166,7 +172,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
 
 def _troubles(evaluation: Evaluation) -> Iterator[Text]:
     for failure in evaluation.unreadable[:3]:
-        yield Text(f"left out: {failure.error}", Tone.BAD)
+        yield Text(f"left out: {failure.error.advised}", Tone.BAD)
     if len(evaluation.unreadable) > 3:
         yield Text(f"left out: {len(evaluation.unreadable) - 3} more files that cannot be read", Tone.BAD)
     runs = [run for result in evaluation.results for run in result.group.recordings]
@@ -197,6 +203,12 @@ def _joined(said: Cell) -> Cell:
 
 def _line(said: Cell) -> Cell:
     return Cell(f"{said.text} {said.range}".rstrip(), tone=said.tone)
+
+
+def _fps(result: GroupResult) -> Cell:
+    """The throughput, with a sign where it was timed for less than the protocol asks."""
+    said = estimate(result.metrics[FPS.name])
+    return replace(said, text=f"{_SHORT}{said.text}") if result.timed.unreliable else said
 
 
 def _text(said: Cell) -> Cell:

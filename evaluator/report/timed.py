@@ -74,6 +74,12 @@ LEGEND = f"{PROTOCOL} rules not met: how many rules, and how often; gsb-check --
 NOT_COMPARABLE = "NOT comparable by throughput"
 """How the line on rows that were timed over other steps begins."""
 
+TOO_SHORT = (
+    f"timed too briefly for {PROTOCOL}: less than {SHORT_S:g} s, or too few steps; record with more --timed-steps or "
+    "--n-env"
+)
+"""What a sign beside a throughput means."""
+
 ALL = (_STEPS, _SECONDS, SETTINGS_IN_FORCE, _UNMET)
 """Everything that stands beside a throughput."""
 

@@ -68,6 +68,11 @@ class TimedWork:
         """Whether the timed phase of a run took less than SHORT_S."""
         return self.seconds is not None and self.seconds[0] < SHORT_S
 
+    @property
+    def unreliable(self) -> bool:
+        """Whether a run was timed for less than the protocol asks, in seconds or in steps."""
+        return self.short or "timed-steps" in self.unmet.findings
+
 
 def timed_work(key: GroupKey, runs: Sequence[Run], unmet: Unmet) -> TimedWork:
     """Of a group by its key, its complete runs and the rules that its recordings do not meet."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -18,13 +20,18 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
-def rate_interval(flags: npt.NDArray[np.bool_], *, seed: int = 0) -> tuple[float, float]:
+def rate_interval(flags: npt.NDArray[np.bool_ | np.float64], *, seed: int = 0) -> tuple[float, float]:
     """95 % interval of a rate, from flags [env, episode] whose environments are independent.
+
+    A share between 0 and 1 stands for repeats of one episode: it counts as one, and the interval holds those of both
+    whole numbers of successes beside the sum.
 
     Wilson's interval takes episodes to be independent. Where several are of one environment, it is widened to hold the
     interval that resampling environments gives (for fewer than 8 environments there is none).
     """
-    low, high = wilson(int(flags.sum()), flags.size)
+    total = float(flags.sum())
+    low, _ = wilson(math.floor(total + _ROUNDING), flags.size)
+    _, high = wilson(math.ceil(total - _ROUNDING), flags.size)
     by_env = mean_interval(flags.mean(axis=1), seed=seed) if flags.shape[1] > 1 else None
     return (min(low, by_env[0]), max(high, by_env[1])) if by_env else (low, high)
 

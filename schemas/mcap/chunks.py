@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
 
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, FailedCrc
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.mcap import decompression
 from gpusimbench.schemas.mcap.records import RECORD_HEAD, Chunk, ChunkHead, Cursor, Op, check_head
@@ -88,7 +88,7 @@ class Chunks:
             raise DamagedRecording(f"{self._place}: the chunk at byte {begin} is damaged: {error}") from None
         if crc and not self._checked and zlib.crc32(data) != crc:
             self._source.confirm()
-            raise DamagedRecording(f"{self._place}: the chunk at byte {begin} fails its CRC")
+            raise FailedCrc(f"{self._place}: the chunk at byte {begin} fails its CRC")
         mapped = self._source.near and not chunk.compression
         self._keep(number, data, 0 if mapped else crc)
         return data, crc

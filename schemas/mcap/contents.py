@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import repeat
 
 from gpusimbench.schemas import FORMAT, PROFILES
-from gpusimbench.schemas.errors import DamagedRecording, NotARecording
+from gpusimbench.schemas.errors import DamagedRecording, FailedCrc, NotARecording
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.mcap.chunks import Chunks
 from gpusimbench.schemas.mcap.declarations import Declarations
@@ -310,7 +310,7 @@ class Contents:
             raise self.damaged("the footer points to no summary")
         summary = self.source.read(footer.summary_start or record.begin, record.end - 4)
         if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
-            raise self.damaged("the summary fails its CRC: bytes were changed")
+            raise FailedCrc(f"{self.place}: the summary fails its CRC")
         self.finished = True
 
     def _forget_index(self) -> None:

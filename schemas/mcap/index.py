@@ -12,7 +12,7 @@ from array import array
 from bisect import bisect_left
 from dataclasses import dataclass
 
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, FailedCrc
 from gpusimbench.schemas.mcap import decompression
 from gpusimbench.schemas.mcap.declarations import Declarations
 from gpusimbench.schemas.mcap.records import (
@@ -108,7 +108,7 @@ def read_index(source: Source) -> Index | None:
         )
     section = source.read(data_end, source.size)
     if crc and zlib.crc32(section[_DATA_END.size : -len(MAGIC) - 4]) != crc:
-        raise DamagedRecording(f"{source.place}: the summary fails its CRC: bytes were changed")
+        raise FailedCrc(f"{source.place}: the summary fails its CRC")
     opcode, length, data_crc = _DATA_END.unpack_from(section)
     if (opcode, length) != (Op.DATA_END, _DATA_END.size - RECORD_HEAD):
         return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from gpusimbench.schemas.errors import FailedCrc
 from gpusimbench.schemas.mcap.contents import MAX_INDEX_BYTES, Contents, Message
 from gpusimbench.schemas.mcap.crc import combine
 from gpusimbench.schemas.mcap.declarations import Declarations
@@ -66,7 +67,7 @@ class _Verification:
             raise contents.damaged("a channel or schema that is declared in a chunk is not so in the rest of the file")
         self._add_crc(end)
         if contents.data_crc and self._crc != contents.data_crc:
-            raise contents.damaged("the data section fails its CRC: bytes were changed")
+            raise FailedCrc(f"{contents.place}: the data section fails its CRC")
 
     def _visit(self, head: Head, end: int) -> None:
         if head.opcode == Op.CHUNK and head.begin == self._expected(end):

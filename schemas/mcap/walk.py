@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from struct import Struct
 from typing import Literal, NamedTuple
 
+from gpusimbench.schemas.errors import FailedCrc
 from gpusimbench.schemas.mcap.decompression import decompress
 from gpusimbench.schemas.mcap.records import (
     MAGIC,
@@ -231,7 +232,7 @@ class Walk:
 
     def _wrong(self, fault: Fault, what: str) -> None:
         if self._report is None:
-            raise damaged(self._place, what)
+            raise FailedCrc(f"{self._place}: {what}") if fault.endswith("_crc") else damaged(self._place, what)
         self._report(fault, what)
 
     def _skip(self, fault: Fault, what: str) -> None:

@@ -205,7 +205,7 @@ def test_every_level_is_reached(there: str, here: str, plugin: dict[str, str], t
     if here == "run":
         # every environment of a run has the same bits, so that a run is one draw
         assert audit["law"]["unit"] == "runs"
-        assert "give --runs 19" in _rung(audit, "same-distribution")["said"]
+        assert "give --runs 19 (about " in _rung(audit, "same-distribution")["said"]
     if there != here and audit["settings"]:
         planted = next(s for s in audit["settings"] if s["name"] == "environment.MUJOCO_PLANTED")
         assert (planted["a"], planted["b"]) == (there, here)
@@ -384,6 +384,10 @@ def test_environments_are_exchanged_with_a_warning() -> None:
     law = same_law([_drawn(rng)], [_drawn(rng)], time=5.0)
     said = ladder([Match(False, False, None)], lambda: law, max_ulps=4, originals=1).rungs[-1].said
     assert "without power if results depend on the number of an environment: --runs 19 would exchange runs" in said
+    said = ladder([Match(False, False, None)], lambda: law, max_ulps=4, originals=1, each_s=64.0).rungs[-1].said
+    assert said.endswith(
+        "environment: --runs 19 (about 20 min 16 s on this machine) would exchange runs; not rejected at 0.05"
+    )
 
 
 @pytest.mark.parametrize(("ran", "limit"), [(0.5, 600), (40.01, 801), (1e9, 86_400)])

@@ -116,6 +116,11 @@ def test_the_first_difference_is_in_numbers(five: list[Recording]) -> None:
     audit = Audit((five[0],), made(five[4:]), (five[4],), compare(five[0], five[4]))
     text = lines(audit)
     assert "differs: from step 5 (5 s), first in env 1, in 1 env at that step" in text
+    found = compare(five[0], five[4])
+    assert found.first is not None
+    strided = replace(audit, difference=replace(found, first=replace(found.first, after_step=0)))
+    said = "from step 5 (5 s); equal up to step 0, no step in between is known; first in env 1, in 1 env at that step"
+    assert f"differs: {said}" in lines(strided)
     (number,) = [line for line in text if "cubes/position" in line]
     assert ", z: 0.03 there, 2.03 here, " in number
     assert number.endswith(" ULP, 2 m")
@@ -251,6 +256,14 @@ def test_the_test_of_one_law_in_words(law: LawTest, expected: str) -> None:
     words = said(Match(False, False, None), law=law, originals=2)[-1]
     assert words.startswith("W1 at 5 s: 1.25 cm (up to 2.5 cm in 95 % if they have one distribution), p = ")
     assert words.endswith(expected)
+
+
+def test_missing_runs_have_a_price(five: list[Recording]) -> None:
+    """Say how long the runs would take that the test asks for, from the time that the replays took."""
+    replays = replace(made([five[4]] * 2), seconds=128.0)
+    verdict = held((five[0],), replays, (five[4], five[4]), max_ulps=4).verdict
+    assert verdict is not None and verdict.level is None
+    assert verdict.rungs[-1].said.endswith("give --runs 19 (about 20 min 16 s on this machine)")
 
 
 def test_levels_of_a_p_value_at_the_border() -> None:

@@ -135,6 +135,31 @@ def test_a_difference_that_ends(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert json.loads((tmp_path / "found.json").read_text())["compared"]["fields"][0]["max_distance"] is None
 
 
+def test_a_difference_between_recorded_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Say that steps without states are not known, unless state hashes of every step can be compared."""
+
+    def run(name: str, dtype: str, *differ: int) -> str:
+        def at(_: Any, step: int) -> Any:
+            positions = grid(3).astype(dtype)
+            positions[1, 4, 0] += step in differ
+            return positions
+
+        return str(write_recording(tmp_path, at(None, 30), steps=30, stride=10, path_of=at, name=name))
+
+    def said(*recordings: str) -> str:
+        assert main([*recordings]) == 4
+        return " ".join(capsys.readouterr().out.split())
+
+    alone, since, once = run("a.mcap", "float64"), range(13, 31), (20,)
+    told = "The two recordings are equal at step 10 and differ {} the next state that both recorded"
+    assert said(alone, run("b.mcap", "float32", *since)).startswith(
+        f"{told.format('from')} on, step 20 (20 s), first in env 1: cubes/position of cube_0_1_1, x: "
+    )
+    assert said(alone, run("c.mcap", "float32", *once)).startswith(f"{told.format('first at')}, step 20 (20 s), first")
+    hashed = said(alone, run("d.mcap", "float64", *since))
+    assert hashed.startswith("The two recordings differ from step 13 (13 s) on, first in env 1; body and field are")
+
+
 @pytest.mark.parametrize("width", [40, 60, 80])
 def test_numbers_stay_whole_in_a_narrow_terminal(
     width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -9,19 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import stats
 
 from gpusimbench import NothingComparable, open_recording, wrap
 from gpusimbench.evaluator.cli.episodes import main as episodes
 from gpusimbench.evaluator.episodes import dependence
-from gpusimbench.evaluator.episodes.comparison import compare
+from gpusimbench.evaluator.episodes.comparison import compare, difference_of
 from gpusimbench.evaluator.episodes.document import warnings
 from gpusimbench.evaluator.episodes.outcome import FinishOrder, Outcome, outcome
 from gpusimbench.evaluator.episodes.profile import profiles
 from gpusimbench.evaluator.episodes.side import Choice, Episodes, choose, read_side
 from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.statistics.rates import mcnemar, wilson
+from gpusimbench.evaluator.statistics.rates import mcnemar, rate_interval, wilson
 from tests.conftest import call, made_once
 from tests.scripts import ROOT, example, script
 
@@ -432,3 +433,96 @@ def test_repeated_runs_count_once(tmp_path: Path) -> None:
     assert document["policy"]["warnings"][0].startswith("5 recordings left out, bit for bit the same")
     both = json.loads(call("gsb-episodes", sides[0][0], sides[900][0], "--json", "-", code=0).stdout)
     assert both["policy"]["n_env"] == 16 and both["policy"]["repeats"] == []
+
+
+class Nearly(search.Search):  # type: ignore[misc,name-defined]
+    """The task on an engine that does not repeat itself: numbers differ in their last bits from run to run."""
+
+    noise = np.random.default_rng(0)
+
+    def _seen(self) -> NDArray[np.float32]:
+        return np.asarray(super()._seen() * (1 + 1e-6 * self.noise.normal()), dtype=np.float32)
+
+    def step(self, action: int) -> Any:
+        seen, reward, *rest = super().step(action)
+        return seen, reward * (1 + 1e-6 * self.noise.normal()), *rest
+
+
+def nearly(path: Path, seed: int | None, n_env: int = 8) -> Path:
+    """A run of the policy "near" that no other run repeats bit for bit."""
+    envs = wrap(gymnasium.vector.SyncVectorEnv([Nearly] * n_env), path, steps=26, infos=("success",))
+    observation, _ = envs.reset(seed=seed)
+    for _ in range(26):
+        observation, *_ = envs.step(search.near(observation))
+    envs.close()
+    return path
+
+
+def test_nearly_equal_runs_of_a_seed_are_one_cluster(tmp_path: Path) -> None:
+    """Average runs of one seed by environment: ten runs a side make no difference of two seeds certain."""
+    sides = [[nearly(tmp_path / f"{seed}-{run}.mcap", seed) for run in range(10)] for seed in (600, 800)]
+    found = [episodes_of(*side, per_env=2) for side in sides]
+    assert [(side.n_env, side.n_cluster) for side in found] == [(80, 8), (80, 8)]
+    assert len(np.unique(found[0].starts)) > 100  # of 160: hardly any episode begins with the bits of another
+    counted = difference_of("return", "", found[0].returns, found[1].returns, together=False)
+    assert counted.p_value < 0.01  # what eighty environments a side would show
+    command = ("--success", "success", "--per-env", "2", "--json", "-")
+    document = json.loads(call("gsb-episodes", *sides[0], "--against", *sides[1], *command, code=0).stdout)
+    alone = json.loads(call("gsb-episodes", sides[0][0], "--against", sides[1][0], *command, code=0).stdout)
+    for ten, one in zip(*(of["comparison"]["differences"] for of in (document, alone)), strict=True):
+        assert min(ten["p_value"], one["p_value"]) > 0.05
+        assert np.ptp(ten["ci95"]) > 0.7 * np.ptp(one["ci95"])  # a third as wide, if eighty were counted
+        assert ten["least_shown"] > 0.7 * one["least_shown"]
+    for ten, one in zip(document["policy"]["quantities"], alone["policy"]["quantities"], strict=True):
+        assert np.ptp(ten["ci95"]) > 0.7 * np.ptp(one["ci95"])
+        assert np.ptp(ten["finish_order"]["ci95"]) > 0.7 * np.ptp(one["finish_order"]["ci95"])
+    assert (document["policy"]["n_env"], document["policy"]["clusters"]) == (80, 8)
+    told = "72 of 80 environments began as another one of their seed did: these repeats are averaged, so that 8 env"
+    assert document["policy"]["warnings"][0].startswith(told)
+    assert not any("began as another one" in warning for warning in alone["policy"]["warnings"])
+    both = json.loads(call("gsb-episodes", *sides[0], *sides[1][:2], *command, code=0).stdout)["policy"]
+    assert (both["n_env"], both["clusters"]) == (96, 16)
+    mean = (found[0].returns.mean() + found[1].returns[:16].mean()) / 2
+    assert both["quantities"][1]["mean"] == pytest.approx(mean)  # seeds count alike, however often recorded
+
+
+def search_of_other_numbers(path: Path) -> Path:
+    """A recording of a task that draws other numbers whatever the seed is."""
+
+    class Deaf(search.Search):  # type: ignore[misc,name-defined]
+        def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+            return super().reset(seed=None, options=options)
+
+    envs = wrap(gymnasium.vector.SyncVectorEnv([Deaf] * 2), path, steps=13)
+    observation, _ = envs.reset(seed=0)
+    for _ in range(13):
+        observation, *_ = envs.step(search.near(observation))
+    envs.close()
+    return path
+
+
+def test_what_is_a_repeat(tmp_path: Path) -> None:
+    """Join environments that have one seed and nearly one start, of overlapping seeds too; no others."""
+
+    def clusters(*paths: Path) -> list[int]:
+        return episodes_of(*paths, per_env=1).clusters.tolist()
+
+    first, again = (nearly(tmp_path / f"{run}.mcap", 5, 3) for run in "ab")
+    assert clusters(first, again, nearly(tmp_path / "c.mcap", 50, 3)) == [0, 1, 2, 0, 1, 2, 3, 4, 5]
+    # seed + number seeds an environment of Gymnasium
+    runs = [recording_of("near", 4, 1, seed) for seed in (20, 22)]
+    assert clusters(*runs) == [0, 1, 2, 3, 2, 3, 4, 5]
+    assert clusters(runs[0], recording_of("near", 2, 1, 20)) == [0, 1, 2, 3, 0, 1]
+    assert clusters(*(nearly(tmp_path / f"none-{run}.mcap", None, 3) for run in range(2))) == [0, 1, 2, 3, 4, 5]
+    fixed = [flagged(tmp_path / f"fixed-{run}.mcap", {}, {}, {}) for run in range(2)]
+    assert choose(read_side(list(map(open_recording, fixed))), 1, None, At.LAST).clusters.tolist() == [0, 1, 0, 1]
+    # a seed that the task ignores makes no repeats
+    told = [open_recording(search_of_other_numbers(tmp_path / f"deaf-{run}.mcap")) for run in range(2)]
+    assert choose(read_side(told), 1, None, At.LAST).clusters.tolist() == [0, 1, 2, 3]
+
+
+def test_shares_of_repeats_have_the_interval_of_whole_numbers() -> None:
+    """Give averaged repeats that agree the interval of one run, and others one that holds both neighbours'."""
+    flags = np.array([[True], [False], [True], [True]])
+    assert rate_interval(flags.astype(np.float64)) == rate_interval(flags) == wilson(3, 4)
+    assert rate_interval(np.array([[0.5], [0.0], [1.0], [1.0]])) == (wilson(2, 4)[0], wilson(3, 4)[1])

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import Command
+from gpusimbench.schemas.errors import FailedCrc
+from tests.conftest import Command, call
 from tests.synthetic import grid, write_recording
 
 
@@ -85,6 +86,12 @@ def test_a_bad_file_among_good_ones(gsb_eval: Command, tmp_path: Path) -> None:
     assert "repeats itself" in done.stdout
     assert done.stdout.count("left out:") == 1
     assert "worse.mcap" in done.stderr
+    told = " ".join(done.stdout.split())
+    assert "worse.mcap: the data section fails its CRC; the file was changed or damaged after" in told
+    assert FailedCrc.advice in told and FailedCrc.advice not in done.stderr
+    assert FailedCrc.advice in gsb_eval(worse, code=3).stderr
+    assert FailedCrc.advice in gsb_eval(good, worse, "--json", "-", code=3).stderr
+    assert FailedCrc.advice in call("gsb-diff", good, worse, code=3).stderr
 
 
 def test_nothing_usable(gsb_eval: Command, tmp_path: Path) -> None:

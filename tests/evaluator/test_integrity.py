@@ -21,7 +21,7 @@ from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.rule import Level, load_rules
 from gpusimbench.recorder.capture import state_work
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.errors import DamagedRecording, ExitCode
+from gpusimbench.schemas.errors import DamagedRecording, ExitCode, FailedCrc
 from gpusimbench.schemas.mcap.decompression import decompress
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, SCENE, SIMULATION
@@ -394,7 +394,7 @@ def test_the_streams_of_a_damaged_chunk_are_named(tmp_path: Path) -> None:
     # by the byte at which its record begins, which other commands name, too
     (named,) = re.findall(r"the chunk at byte (\d+)", found.of(Kind.chunk_crc)[0])
     assert int(named) in places(path.read_bytes(), 6)
-    with pytest.raises(DamagedRecording, match=f"the chunk at byte {named} fails its CRC"):
+    with pytest.raises(FailedCrc, match=f"the chunk at byte {named} fails its CRC"):
         np.asarray(open_recording(path).state("cubes", "position"))
 
 
@@ -463,3 +463,13 @@ def test_a_file_that_becomes_shorter(tmp_path: Path) -> None:
     assert not scan(source, problems).finished
     assert problems.of(Kind.record) == ("the file became shorter while it was read",)
     assert "became shorter" in problems.skipped(Kind.digest)
+
+
+@pytest.mark.parametrize("level", ["default", "run-to-run"])
+def test_phases_that_differ_are_told_with_their_level(level: str, tmp_path: Path) -> None:
+    """Say at which level states of both phases differ, since what to do depends on it."""
+    path = write_recording(tmp_path, grid(2), elapsed_s=1.0, determinism=level, **WRITTEN["observer"])
+    report = check([examine(path)], [load_rules("integrity-1")])
+    (found,) = (one for one in report.findings if one.rule.id == "observer")
+    assert found.found == f"at step 2, in 2 of 2 environments; recorded at level {level}"
+    assert "at level default: " in found.rule.do and "at another level, " in found.rule.do

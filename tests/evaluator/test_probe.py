@@ -127,6 +127,11 @@ def test_nothing_planted(tmp_path: Path) -> None:
     assert {key for key, finding in found.items() if finding.answer is Answer.YES} == found.keys() - others
     assert {found[key].answer for key in others} == {Answer.NOT_ASKED}
     assert verdict_of(list(found.values())) == "10 of 10 answers are yes"
+    runs, envs, *others = (one.title for one in found.values() if one.answer is Answer.YES)
+    of_two = f"10 of 10 answers are yes ({runs}, {envs} and {len(others)} more)"
+    assert verdict_of(list(found.values()), named=2) == of_two
+    assert verdict_of([found["runs"]], named=2) == f"1 of 1 answers are yes ({runs})"
+    assert verdict_of([found["capture"]], named=2) == "nothing was asked"
     assert evidence(found["number"]) == "bit-identical: 7 pairs, 31 steps"
     # two runs agreed with the first of their arm: 1 - 0.05^(1/2)
     assert evidence(found["runs"]).endswith("one more run differs with a probability below 78 % (95 % confidence)")
@@ -462,6 +467,7 @@ def test_what_results_depend_on_is_reported(evaluated: Evaluation) -> None:
     shown = stream.getvalue()
     assert "newton 1.8.0, determinism run-to-run, solver=xpbd on NVIDIA H200" in shown
     assert "intervention=" not in shown
+    assert "answers are yes (repeats itself from run to run, identical environments" in " ".join(shown.split())
     assert "of runs that only gsb-probe needs: --all" in shown
     assert [probe["simulator"] for probe in to_json(evaluated)["probes"]] == ["mjx", "newton"]
 

@@ -94,7 +94,10 @@ def test_the_text_names_the_phase(tmp_path: Path, capsys: pytest.CaptureFixture[
     a, b = _record(tmp_path, [1, 2, 3, 4]), _record(tmp_path, [1, 2, 3, 9])
     assert main([str(a.path), str(b.path), "--plot", str(tmp_path / "x.svg")]) == 4
     said = capsys.readouterr().out
-    assert said.startswith("The two recordings differ first at step 1100 (11 s) of the timed phase, first in env 1; ")
+    assert " ".join(said.split()).startswith(
+        "The two recordings are equal at step 100 and differ first at the next state that both recorded, "
+        "step 1100 (11 s) of the timed phase, first in env 1; "
+    )
     drawn = (tmp_path / "x.svg").read_text()
     assert "first difference: step 1100 of the timed phase" in drawn
     assert 'class="first"' not in drawn

@@ -107,6 +107,30 @@ def test_other_steps_are_named_as_not_comparable(shown: Callable[[Evaluation], s
     assert "too short to rely on" not in told
 
 
+def test_the_first_screen_marks_what_was_timed_too_briefly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Put a sign before a throughput of less than a second, or of too few steps; none elsewhere."""
+
+    def shown(*files: Path) -> str:
+        assert evaluate([*map(str, files), "--no-cache"]) == 0
+        return " ".join(capsys.readouterr().out.split())
+
+    short, long = recorded(tmp_path)[1::2], recorded(tmp_path)[::2]
+    few = [
+        write_recording(tmp_path, grid(2), simulator="few", run=run, timed_steps=99, elapsed_s=2.0, whole=True,
+                        gpu_bytes=(0, 10**9), proven=True) for run in range(2)
+    ]  # fmt: skip
+    legend = f"* {timed.TOO_SHORT}"
+    assert "* " not in shown(*long)
+    for alone in (short, few):
+        told = shown(*alone)
+        assert "throughput [env-steps/s] * " in told and told.count(legend) == 1
+    told = shown(*long, *short, *few)
+    assert told.count(legend) == 1
+    assert [name for name in ("long", "short", "few") if re.search(rf"{name} 2 x 2 [^*±]*\* [\d,]+ ± ", told)] == [
+        "short", "few",
+    ]  # fmt: skip
+
+
 def test_programs_get_the_same(tmp_path: Path) -> None:
     """Give window, seconds, settings and rules in the JSON and the Parquet table of metrics."""
     recorded(tmp_path)

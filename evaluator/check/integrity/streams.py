@@ -93,7 +93,9 @@ def _observer(recording: Recording, problems: Problems) -> None:
     differ = timed.hashes[at_timed] != captured.hashes[at_captured]
     for step, row in zip(common, differ, strict=True):
         if row.any():
-            problems.add(Kind.observer, f"at step {step}, in {int(row.sum())} of {len(row)} environments")
+            envs = f"{int(row.sum())} of {len(row)} environments"
+            level = recording.configuration.determinism
+            problems.add(Kind.observer, f"at step {step}, in {envs}; recorded at level {level}")
 
 
 def _status(recording: Recording, problems: Problems) -> None:

@@ -62,7 +62,7 @@ def _by_note(notes: Sequence[tuple[str, str]]) -> Iterator[Row]:
 
 def _rows(evaluation: Evaluation) -> Iterator[Row]:
     for failure in evaluation.unreadable:
-        yield _row(failure.path, "could not be read", str(failure.error))
+        yield _row(failure.path, "could not be read", failure.error.advised)
     for result in evaluation.results:
         for recording in result.group.recordings:
             if recording.status != "complete":
