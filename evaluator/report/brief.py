@@ -11,7 +11,7 @@ from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, Facts, Text, Tone, facts, table
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.report.leaders import fastest
+from gpusimbench.evaluator.report.leaders import Fastest, fastest, not_ranked
 from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sentence
 from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.sections.episodes import counts_of, mean_of
@@ -28,9 +28,9 @@ from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
 from gpusimbench.evaluator.runs.labels import labels, options_given
-from gpusimbench.schemas.text import first
+from gpusimbench.schemas.text import cut, few, first
 
-_NOTES, _EPISODES = 2, 8
+_NOTES, _EPISODES, _PASSED, _LABEL = 2, 8, 4, 120
 _PLACE = ("scene", "device")
 """What names a table where there are several."""
 
@@ -157,11 +157,16 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
             yield Text(sweep_sentence(sweep))
     for family in evaluation.convergences:
         yield Text(sentence(family))
-    for one in fastest(results):
-        if one.first:
-            device = one.device or "an unnamed device"
-            fps = f"{one.first.result.label}, {one.first.said}"
-            yield Text(f"Fastest valid simulator in {one.scene} on {device}: {fps}")
+    yield from (Text(_fastest(one, results)) for one in fastest(results) if one.first or one.faster)
+
+
+def _fastest(found: Fastest, results: Sequence[GroupResult]) -> str:
+    """Who is named, and who was faster: a reader finds the rows of both in the table above."""
+    where = f"{found.scene} on {found.device or 'an unnamed device'}"
+    said = f"Fastest valid simulator in {where}: "
+    said += f"{found.first.result.label}, {found.first.said}" if found.first else "none"
+    passed = [f"{few([r.label for r in those], _PASSED)} ({why})" for why, those in not_ranked(found, results).items()]
+    return said + (f"; faster, but not ranked: {'; '.join(passed)}" if passed else "")
 
 
 def _troubles(evaluation: Evaluation) -> Iterator[Text]:
@@ -185,7 +190,10 @@ def _troubles(evaluation: Evaluation) -> Iterator[Text]:
         yield Text(line, Tone.WARNING)
     if len(lines) > 1:
         yield Text(f"{len(lines) - 1} more reasons why throughputs cannot be compared: --all", Tone.WARNING)
-    if evaluation.reference is None and not evaluation.of_programs:
+    if reference := evaluation.reference:
+        what = "mean error of position against" if reference.tosses else "W1 to"
+        yield Text(f"distance: {what} {cut(reference.label, _LABEL)}", Tone.QUIET)
+    elif not evaluation.of_programs:
         yield Text(f"no distance to reality: {evaluation.reference_note}", Tone.QUIET)
 
 

@@ -166,6 +166,30 @@ def test_an_idle_world_is_not_the_fastest(tmp_path: Path) -> None:
     )  # fmt: skip
 
 
+def test_each_faster_group_has_its_own_reason(tmp_path: Path) -> None:
+    """Tell of a simulator's two faster configurations, barred for two reasons; the first screen says who was faster."""
+    write_recording(tmp_path, grid(2), simulator="honest", elapsed_s=4.0, proven=True)
+    sunk = grid(2)
+    sunk[:, :9, 2] = -1.0
+    write_recording(
+        tmp_path, sunk, simulator="quick", options={"solver": "a"}, elapsed_s=1.5, name="sunk.mcap", proven=True
+    )
+    write_recording(
+        tmp_path, grid(2), simulator="quick", options={"solver": "b"}, elapsed_s=0.5, name="short.mcap", proven=True
+    )
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    (found,) = fastest(evaluation.results)
+    assert {speed.result.label for speed, _ in found.faster} == {"quick [solver=a]", "quick [solver=b]"}
+    terminal = io.StringIO()
+    print_document(brief(evaluation), terminal)
+    said = " ".join(terminal.getvalue().split())
+    assert re.search(
+        r"Fastest valid simulator in inclined-collision on [^;]*: honest, 500 env-steps/s; faster, but not ranked: "
+        r"quick \[solver=b\] \(protocol-2 not met: [^)]*\); quick \[solver=a\] \(INVALID, or mechanics broken\)",
+        said,
+    ), said
+
+
 def fastest_of(evaluation: Evaluation) -> tuple[str, tuple[str, ...]]:
     """Who is faster and not ranked on the first screen, and why."""
     (found,) = [t for t in report(Source(evaluation, False, "")).tables() if t.key == "fastest"]
