@@ -21,7 +21,8 @@ from gpusimbench.evaluator.results.canonical import Law, laws
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
-from tests.synthetic import grid, write_recording, write_sweep
+from gpusimbench.schemas.provenance import OverflowBit
+from tests.synthetic import Shown, grid, write_recording, write_sweep
 
 
 def evaluate(folder: Path) -> Evaluation:
@@ -188,6 +189,19 @@ def test_each_faster_group_has_its_own_reason(tmp_path: Path) -> None:
         r"quick \[solver=b\] \(protocol-2 not met: [^)]*\); quick \[solver=a\] \(INVALID, or mechanics broken\)",
         said,
     ), said
+
+
+def test_a_yes_says_what_it_leaves_out(tmp_path: Path) -> None:
+    """Say beside a yes that other groups of the simulator do not report overflow, or could not be compared."""
+    told = Shown(overflow={"capture": np.zeros((5, 2), np.uint32)}, bits=(OverflowBit(0, "full", fatal=True),))
+    write_recording(tmp_path, grid(2), options={"solver": "a"}, shown=told, name="a.mcap")
+    shown = matrix(evaluate_files(sorted(tmp_path.glob("*.mcap"))))["synthetic"]
+    assert (shown["valid"].text, shown["valid"].notes) == ("yes", ())
+    assert (shown["envs alike"].text, shown["envs alike"].notes) == ("yes", ("all 2 envs",))
+    write_recording(tmp_path, grid(1), options={"solver": "b"}, name="b.mcap")
+    shown = matrix(evaluate_files(sorted(tmp_path.glob("*.mcap"))))["synthetic"]
+    assert shown["valid"] == Cell("yes", notes=("partly not reported",), tone=Tone.WARNING)
+    assert (shown["envs alike"].text, shown["envs alike"].notes) == ("yes", ("all 2 envs, 1 group not compared",))
 
 
 def fastest_of(evaluation: Evaluation) -> tuple[str, tuple[str, ...]]:
