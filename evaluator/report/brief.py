@@ -20,6 +20,7 @@ from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, anoth
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.fidelity import DEMANDED, Verdict
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
 from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
@@ -28,6 +29,7 @@ from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
 from gpusimbench.evaluator.runs.labels import labels, options_given
+from gpusimbench.evaluator.runs.physics.facts import NEWEST
 from gpusimbench.schemas.text import cut, few, first
 
 _NOTES, _EPISODES, _PASSED, _LABEL = 2, 8, 4, 120
@@ -142,6 +144,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for place, rows in tables.items():
         shown = table("groups", place, titles, rows)
         yield shown.without_empty_columns() if several else shown
+    if said := _behind_a_yes(results):
+        yield Text(said, Tone.QUIET)
     told = [f"{result.label}: episodes: {said}" for result in results if (said := _episodes(result))]
     yield from map(Text, first(told, _EPISODES, " groups with episodes"))
     for result in results:
@@ -158,6 +162,16 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for family in evaluation.convergences:
         yield Text(sentence(family))
     yield from (Text(_fastest(one, results)) for one in fastest(results) if one.first or one.faster)
+
+
+def _behind_a_yes(results: Sequence[GroupResult]) -> str:
+    """How many checks of mechanics a yes of the table stands for; empty where no group has one."""
+    made = [r.fidelity for r in results if r.fidelity.checkable and not r.fidelity.of(Verdict.BROKEN)]
+    if not made:
+        return ""
+    low, high = min(f.held for f in made), max(f.held for f in made)
+    held = f"{low}" if low == high else f"{low} to {high}"
+    return f"{NEWEST.value}: a yes stands for {held} of {DEMANDED} checks; the others could not be made: --all"
 
 
 def _fastest(found: Fastest, results: Sequence[GroupResult]) -> str:

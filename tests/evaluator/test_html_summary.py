@@ -20,6 +20,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.canonical import Law, laws
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.fidelity import DEMANDED
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
 from gpusimbench.schemas.provenance import OverflowBit
 from tests.synthetic import Shown, grid, write_recording, write_sweep
@@ -199,9 +200,16 @@ def test_a_yes_says_what_it_leaves_out(tmp_path: Path) -> None:
     assert (shown["valid"].text, shown["valid"].notes) == ("yes", ())
     assert (shown["envs alike"].text, shown["envs alike"].notes) == ("yes", ("all 2 envs",))
     write_recording(tmp_path, grid(1), options={"solver": "b"}, name="b.mcap")
-    shown = matrix(evaluate_files(sorted(tmp_path.glob("*.mcap"))))["synthetic"]
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    shown = matrix(evaluation)["synthetic"]
     assert shown["valid"] == Cell("yes", notes=("partly not reported",), tone=Tone.WARNING)
     assert (shown["envs alike"].text, shown["envs alike"].notes) == ("yes", ("all 2 envs, 1 group not compared",))
+    few, more = sorted(result.fidelity.held for result in evaluation.results)
+    assert 0 < few <= more < DEMANDED
+    terminal = io.StringIO()
+    print_document(brief(evaluation), terminal)
+    stands = few if few == more else f"{few} to {more}"
+    assert f"physics-2: a yes stands for {stands} of 22 checks; the others could not be made" in terminal.getvalue()
 
 
 def fastest_of(evaluation: Evaluation) -> tuple[str, tuple[str, ...]]:
