@@ -99,7 +99,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--across", action="append", default=[], metavar="KEY",
-        help="what may differ: an option, or simulator, determinism, n_env, warmup, timed_steps; repeatable",
+        help="what may differ: an option, or simulator, scene, determinism, n_env, warmup, timed_steps; repeatable",
     )  # fmt: skip
     p.add_argument(
         "--history", type=local_path, metavar="DIR",
@@ -187,7 +187,8 @@ def _run_sets(arguments: argparse.Namespace, settings: Settings, command: str) -
     from gpusimbench.evaluator.render.markdown import render_markdown
 
     work, reader = _reading(arguments)
-    result = compare(*read_sides(expand(base), expand(head), reader, work), settings, work, arguments.across)
+    across = arguments.across
+    result = compare(*read_sides(expand(base), expand(head), reader, work, across), settings, work, across)
     files = [
         (arguments.markdown, lambda: render_markdown(comment(result, command))),
         (arguments.junit, lambda: junit(result)),

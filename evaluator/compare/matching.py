@@ -16,10 +16,10 @@ from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.text import cut, few, first
 
-ACROSS = ("simulator", "determinism", "n_env", "warmup", "timed_steps")
+ACROSS = ("simulator", "scene", "determinism", "n_env", "warmup", "timed_steps")
 """What --across takes besides names of options."""
 
-_SHOWN, _LENGTH, _NEAR = 12, 48, 4
+_SHOWN, _LENGTH, _NEAR, _HASH = 12, 48, 4, 12
 
 Groups = Sequence[Group[Run]]
 
@@ -60,7 +60,7 @@ def match(base: Groups, head: Groups, across: Collection[str] = ()) -> Matching:
     left, right = list(base), list(head)
     found: list[tuple[Group[Run], Group[Run]]] = []
     for rule in (lambda g: g.key, lambda g: asked_of(g, across), lambda g: anywhere(g, across)):
-        found += _unique(left, right, rule)
+        found += _unique(left, right, rule, across)
     found.sort(key=lambda pair: list(base).index(pair[0]))
     given = options_given(r for g in (*base, *head) for r in g.recordings)
     names = labels([one.key for one, _ in found], given)
@@ -87,14 +87,17 @@ def check_across(across: Collection[str], groups: Groups) -> None:
 
 
 def _unique(
-    left: list[Group[Run]], right: list[Group[Run]], rule: Callable[[Group[Run]], GroupKey]
+    left: list[Group[Run]],
+    right: list[Group[Run]],
+    rule: Callable[[Group[Run]], GroupKey],
+    across: Collection[str],
 ) -> list[tuple[Group[Run], Group[Run]]]:
     """Take those out of both lists whose key no other has."""
     alike: dict[GroupKey, tuple[list[Group[Run]], list[Group[Run]]]] = {}
     for side, groups in enumerate((left, right)):
         for group in groups:
             alike.setdefault(without_seeds(rule(group), group), ([], []))[side].append(group)
-    found = [(a[0], b[0]) for a, b in alike.values() if len(a) == len(b) == 1 and _one_scene(a[0], b[0])]
+    found = [(a[0], b[0]) for a, b in alike.values() if len(a) == len(b) == 1 and _one_scene(a[0], b[0], across)]
     for group, other in found:
         left.remove(group)
         right.remove(other)
@@ -123,7 +126,9 @@ def machine(group: Group[Run]) -> str:
     return asked(group.recordings[0]).device
 
 
-def _one_scene(one: Group[Run], other: Group[Run]) -> bool:
+def _one_scene(one: Group[Run], other: Group[Run], across: Collection[str]) -> bool:
+    if "scene" in across:
+        return True
     hashes = {one.key.scene_hash, other.key.scene_hash} - {""}
     return len(hashes) < 2
 
@@ -140,8 +145,8 @@ def _why(group: Group[Run], others: Groups, across: Collection[str]) -> str:
         across_these = [f"--across {name}" for name in nearest if name in ACROSS or name not in keys]
         how = f"; {' '.join(across_these)} compares the two" if len(across_these) == len(nearest) else ""
         return f"{said}; the most similar group differs in {few(list(nearest.values()), _NEAR)}{how}"
-    if not any(_one_scene(group, g) for g in alike):
-        return "the description of the scene differs on the other side"
+    if not any(_one_scene(group, g, across) for g in alike):
+        return "the description of the scene differs on the other side; --across scene compares the two"
     return "several groups were asked for the same, in different versions or conditions: compare them one at a time"
 
 
@@ -173,6 +178,8 @@ def _differences(base: Group[Run], head: Group[Run]) -> tuple[str, ...]:
             found.append(_arrow("precision", *(" and ".join(precisions(side.key)) for side in (base, head))))
         elif field.name in ("layout", "origins"):
             found.append(f"{field.name} of the states")
+        elif field.name == "scene_hash":
+            found.append(_arrow("description of the scene, sha256", one[:_HASH], other[:_HASH]))
         else:
             found.append(_arrow(field.name, one, other))
     one, other = _commits(base), _commits(head)

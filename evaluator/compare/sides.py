@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.compute.work import Work
@@ -28,9 +28,14 @@ class Side:
     notes: tuple[str, ...]
 
 
-def read_sides(base: Sequence[Place], head: Sequence[Place], reader: Reader, work: Work) -> tuple[Side, Side]:
-    """Read both sets; UsageError where a run is in both."""
-    sampled = read_sampled([*base, *head], reader, work)
+def read_sides(
+    base: Sequence[Place], head: Sequence[Place], reader: Reader, work: Work, across: Collection[str] = ()
+) -> tuple[Side, Side]:
+    """Read both sets; UsageError where a run is in both.
+
+    across  what may differ between base and head, see `compare`; states of two scenes are sampled at one time
+    """
+    sampled = read_sampled([*base, *head], reader, work, together="scene" in across)
     one, other = (_side([sampled.files[place] for place in places]) for places in (base, head))
     one = replace(one, notes=(*one.notes, *notes_on(sampled.shorter, sampled.time, (*one.files, *other.files))))
     ours = {file.provenance.run_id: file for file in one.files}

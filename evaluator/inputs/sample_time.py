@@ -52,18 +52,26 @@ def _what(runs: Sequence[Run]) -> str:
 def _why(at: float, time: float, runs: Sequence[Run]) -> str:
     if any(run.named_time == at for run in runs):
         return "the sample time of the scene"
-    last = "the last time that all its recordings have"
+    whose = (
+        "all its recordings"
+        if last_common_time([r for r in runs if r.usable]) == at
+        else "the recordings of all scenes"
+    )
+    last = f"the last time that {whose} have"
     if any(run.named_time is not None for run in runs):
         return f"{last}; none has {time:g} s"
     return f"{last}; scene.json names no sample time"
 
 
-def read_sampled(places: Sequence[Place], reader: Reader, work: Work) -> Sampled:
-    """Read files, and those of scenes with another sample time than the reader's at that one, if it says so."""
+def read_sampled(places: Sequence[Place], reader: Reader, work: Work, *, together: bool = False) -> Sampled:
+    """Read files, and those of scenes with another sample time than the reader's at that one, if it says so.
+
+    together  sample all scenes at one time, since they are compared with each other
+    """
     places = list(dict.fromkeys(places))
     files = dict(zip(places, read_all(places, reader, work), strict=True))
     runs = [file for file in files.values() if isinstance(file, Run)]
-    others = _others(runs, reader.time) if reader.sample_time is None else {}
+    others = _others(runs, reader.time, together=together) if reader.sample_time is None else {}
     for time in set(others.values()):
         again = [
             place
@@ -77,14 +85,14 @@ def read_sampled(places: Sequence[Place], reader: Reader, work: Work) -> Sampled
     return Sampled(files, reader.time, others)
 
 
-def _others(runs: Sequence[Run], time: float) -> dict[str, float]:
+def _others(runs: Sequence[Run], time: float, *, together: bool) -> dict[str, float]:
     """By scene, the sample time where it is not `time` [s]."""
     # arrays of a task have no positions, and so no time at which these are compared
     bodies = [run for run in runs if any(field.group != ENV for field in run.fields) or not run.fields]
     with_states = [run for run in bodies if run.usable and (run.reached or run.histories)]
     found = {}
     for scene in dict.fromkeys(map(_scene, with_states)):
-        of_scene = [run for run in with_states if _scene(run) == scene]
+        of_scene = [run for run in with_states if together or _scene(run) == scene]
         wanted = _named(of_scene) or last_common_time(of_scene)
         if wanted is not None and wanted != time:
             found[scene] = wanted

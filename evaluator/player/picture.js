@@ -176,11 +176,11 @@ class Picture {
     const inside = new Set(this.drawn.filter((one) => one.x >= 0 && one.y >= 0 && one.x <= canvas.width &&
       one.y <= canvas.height).map((one) => `${one.solid.track} ${one.solid.item}`));
     const told = shown.flatMap((index) => {
-      const items = this.clip.tracks[index].items;
-      const missing = items.filter((_, item) => !inside.has(`${index} ${item}`));
+      const { items, label } = this.clip.tracks[index];
+      const missing = items.filter(({ shapes }, item) => shapes.length && !inside.has(`${index} ${item}`));
       const names = missing.length > 2 ? `${missing.length} of ${items.length} bodies` :
         missing.map((item) => item.name).join(" and ");
-      return missing.length ? [`${names} of ${this.clip.tracks[index].label}`] : [];
+      return missing.length ? [`${names} of ${label}`] : [];
     });
     this.part("outside").textContent = told.length ? `Outside the picture: ${told.join("; ")}.` : "";
   }

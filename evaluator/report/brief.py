@@ -12,7 +12,7 @@ from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, Facts, Text, Tone, facts, table
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.report.leaders import fastest
+from gpusimbench.evaluator.report.leaders import Fastest, fastest, not_ranked
 from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sentence
 from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.sections.episodes import counts_of, mean_of
@@ -21,6 +21,7 @@ from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, anoth
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.fidelity import DEMANDED, Verdict
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
 from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
@@ -29,12 +30,13 @@ from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
 from gpusimbench.evaluator.runs.labels import labels, options_given
-from gpusimbench.schemas.text import first
+from gpusimbench.evaluator.runs.physics.facts import NEWEST
+from gpusimbench.schemas.text import cut, few, first
 
 _SHORT = "* "
 """Before a throughput that was timed for less than the protocol asks; numbers stay in line."""
 
-_NOTES, _EPISODES, _QUESTIONS = 2, 8, 3
+_NOTES, _EPISODES, _QUESTIONS, _PASSED, _LABEL = 2, 8, 3, 4, 120
 _PLACE = ("scene", "device")
 """What names a table where there are several."""
 
@@ -148,6 +150,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for place, rows in tables.items():
         shown = table("groups", place, titles, rows)
         yield shown.without_empty_columns() if several else shown
+    if said := _behind_a_yes(results):
+        yield Text(said, Tone.QUIET)
     told = [f"{result.label}: episodes: {said}" for result in results if (said := _episodes(result))]
     yield from map(Text, first(told, _EPISODES, " groups with episodes"))
     for result in results:
@@ -163,11 +167,26 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
             yield Text(sweep_sentence(sweep))
     for family in evaluation.convergences:
         yield Text(sentence(family))
-    for one in fastest(results):
-        if one.first:
-            device = one.device or "an unnamed device"
-            fps = f"{one.first.result.label}, {one.first.said}"
-            yield Text(f"Fastest valid simulator in {one.scene} on {device}: {fps}")
+    yield from (Text(_fastest(one, results)) for one in fastest(results) if one.first or one.faster)
+
+
+def _behind_a_yes(results: Sequence[GroupResult]) -> str:
+    """How many checks of mechanics a yes of the table stands for; empty where no group has one."""
+    made = [r.fidelity for r in results if r.fidelity.checkable and not r.fidelity.of(Verdict.BROKEN)]
+    if not made:
+        return ""
+    low, high = min(f.held for f in made), max(f.held for f in made)
+    held = f"{low}" if low == high else f"{low} to {high}"
+    return f"{NEWEST.value}: a yes stands for {held} of {DEMANDED} checks; the others could not be made: --all"
+
+
+def _fastest(found: Fastest, results: Sequence[GroupResult]) -> str:
+    """Who is named, and who was faster: a reader finds the rows of both in the table above."""
+    where = f"{found.scene} on {found.device or 'an unnamed device'}"
+    said = f"Fastest valid simulator in {where}: "
+    said += f"{found.first.result.label}, {found.first.said}" if found.first else "none"
+    passed = [f"{few([r.label for r in those], _PASSED)} ({why})" for why, those in not_ranked(found, results).items()]
+    return said + (f"; faster, but not ranked: {'; '.join(passed)}" if passed else "")
 
 
 def _troubles(evaluation: Evaluation) -> Iterator[Text]:
@@ -191,7 +210,10 @@ def _troubles(evaluation: Evaluation) -> Iterator[Text]:
         yield Text(line, Tone.WARNING)
     if len(lines) > 1:
         yield Text(f"{len(lines) - 1} more reasons why throughputs cannot be compared: --all", Tone.WARNING)
-    if evaluation.reference is None and not evaluation.of_programs:
+    if reference := evaluation.reference:
+        what = "mean error of position against" if reference.tosses else "W1 to"
+        yield Text(f"distance: {what} {cut(reference.label, _LABEL)}", Tone.QUIET)
+    elif not evaluation.of_programs:
         yield Text(f"no distance to reality: {evaluation.reference_note}", Tone.QUIET)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput, ranked_words
@@ -14,6 +16,8 @@ from gpusimbench.evaluator.results.timed_work import most_common, window_key
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION
 from gpusimbench.evaluator.results.toss_ranking import Ranked, configuration, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
+
+_UNKNOWN = "no run of this configuration has errors against measured tosses"
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,8 @@ class Fastest:
                    and their throughput meets the protocol's rules on the timed window and on evidence of work; where
                    errors against measured tosses are known, theirs cannot be told apart from the smallest; None where
                    nobody is left
-    faster         groups of other simulators with a higher throughput that are not named first, each with the reason
+    faster         groups with a higher throughput that are not named first, each with the reason: of the groups of one
+                   simulator with one kind of reason, the fastest
     otherwise      simulators that were timed over other steps, which cannot be compared
     remarks        what must be known to compare the two
     """
@@ -56,6 +61,14 @@ class Fastest:
     faster: tuple[tuple[Speed, str], ...]
     otherwise: tuple[tuple[str, str], ...]
     remarks: tuple[str, ...]
+
+
+def not_ranked(found: Fastest, results: Sequence[GroupResult]) -> dict[str, list[GroupResult]]:
+    """Groups that were faster than the first one named, by the kind of reason why they are not ranked."""
+    by_kind: dict[str, list[GroupResult]] = {}
+    for speed, reason in found.faster:
+        by_kind.setdefault(_kind(speed.result, reason, results), []).append(speed.result)
+    return by_kind
 
 
 def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
@@ -79,10 +92,10 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
         if accurate := ranked([r for r in measured if not against[r.label]]):
             errs = {configuration(r): against[r.label] for r in measured}
             errs |= {configuration(one.result): one.less_accurate for one in accurate}
-            unknown = "no run of this configuration has errors against measured tosses"
-            faults |= {r.label: errs.get(configuration(r), unknown) for r in alike if not faults[r.label]}
+            faults |= {r.label: errs.get(configuration(r), _UNKNOWN) for r in alike if not faults[r.label]}
         sound = _best([r for r in alike if not faults[r.label]], scene, device)
-        wrong = _best([r for r in alike if faults[r.label]], scene, device)
+        kinds = {r.label: _kind(r, faults[r.label], results) for r in alike if faults[r.label]}
+        wrong = _best([r for r in alike if faults[r.label]], scene, device, kinds)
         first, second = (*sound, None, None)[:2]
         yield Fastest(
             scene,
@@ -93,6 +106,15 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
             tuple((r.label, r.timed.said) for r, window in zip(found, windows, strict=True) if window != usual),
             tuple(line for line in timed.remarks(s.result for s in sound[:2]) if line != timed.LEGEND),
         )
+
+
+def _kind(result: GroupResult, reason: str, results: Sequence[GroupResult]) -> str:
+    """What kind a reason is of; the section on throughput has the reason in full."""
+    if faults_anywhere(result, results):
+        return "INVALID, or mechanics broken"
+    if speaks_against(result, results):
+        return f"{PROTOCOL} not met: timed steps, or evidence of work"
+    return "errors against the tosses not known" if reason == _UNKNOWN else "larger error against the tosses"
 
 
 def speaks_against(result: GroupResult, results: Sequence[GroupResult]) -> str:
@@ -110,10 +132,12 @@ def _against(groups: Sequence[GroupResult], results: Sequence[GroupResult]) -> s
     return "; ".join(dict.fromkeys(filter(None, (*found, *(each.timed.unmet.of_throughput for each in groups)))))
 
 
-def _best(results: Sequence[GroupResult], scene: str, device: str) -> list[Speed]:
-    """The fastest group of each simulator, the fastest first."""
+def _best(
+    results: Sequence[GroupResult], scene: str, device: str, kinds: Mapping[str, str] = MappingProxyType({})
+) -> list[Speed]:
+    """The fastest group of each simulator, and of each kind that labels have, the fastest first."""
     ordered = sorted((Speed(scene, device, r) for r in results), key=lambda speed: -speed.fps)
-    best: dict[str, Speed] = {}
+    best: dict[tuple[str, str], Speed] = {}
     for speed in ordered:
-        best.setdefault(speed.result.group.key.simulator, speed)
+        best.setdefault((speed.result.group.key.simulator, kinds.get(speed.result.label, "")), speed)
     return list(best.values())

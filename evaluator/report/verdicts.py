@@ -104,6 +104,8 @@ def valid(results: Results) -> Cell:
     if not any(told):
         why = "overflow is not reported" if len(results) == 1 else "not reported"
         return Cell("not known", notes=(why, *failed), tone=Tone.QUIET)
+    if not all(tells for tells, r in zip(told, results, strict=True) if r.group.complete):
+        failed = ("partly not reported", *failed)
     return Cell("yes", notes=failed, tone=Tone.WARNING if failed else Tone.GOOD)
 
 
@@ -196,6 +198,8 @@ def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: 
     n = compared[0][0].metrics[counted.name].n
     if not differ:
         how = f"all {n} {what}" if len(compared) == 1 else f"all {len(compared)} groups"
+        if left := sum(bool(r.group.complete) for r, claim in claims if claim.holds is None):
+            how = f"{how}, {plural(left, 'group')} not compared"
         return Cell("yes", notes=(how, *notes), tone=Tone.GOOD)
     said = next((f"no, {far:.3g} {m.unit}" for m in apart if (far := _farthest(differ, m)) is not None), "no")
     if len(compared) > 1:

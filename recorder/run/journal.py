@@ -69,9 +69,12 @@ class Journal:
         return not self.problems or any(cause == "NOT_FINITE" for cause, _ in self.problems)
 
     def ask_gates(self, simulator: Simulator) -> None:
-        """Note what the simulator says against its own steps."""
-        for fired in simulator.gates():
-            self.gate(fired)
+        """Note what the simulator says against the steps of the present phase: it may say the same of several."""
+        fired = simulator.gates()
+        for problem in fired:
+            self.event("GATE", problem)
+        if fired:
+            self.problems.append(("ENGINE", f"phase {self.phase}: {'; '.join(fired)}"))
 
     def count(self, found: Evidence | None, counted: EvidenceWriter, first_step: int) -> None:
         """Write what the engine counted from `first_step` on, and note buffers that overflowed."""

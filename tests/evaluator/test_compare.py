@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.cli.compare import main
 from gpusimbench.evaluator.statistics import exchange
-from gpusimbench.schemas.provenance import PROVENANCE
+from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from tests.synthetic import Shown, changing, cubes_field, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -490,6 +490,42 @@ def test_what_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     code, document = compared(base, head, "--across", "cone", capsys=capsys)
     assert code == 5
     assert "several groups" in document["without_partner"][0]["reason"]
+
+
+def test_an_edited_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compare two descriptions of a scene, and two scenes, where that is asked for: at one time, however long each is.
+
+    Cubes move at the same speed in all runs, so that states that were sampled at different times would lie apart.
+    """
+
+    def moving(_: Any, step: int) -> Any:
+        return grid(2) + np.array([0.01 * step, 0.0, 0.0])
+
+    def edited(name: str, record: dict[str, Any]) -> None:
+        if name == SIMULATION:
+            record["scene"]["sha256"] = "ed" * 32
+
+    for run in range(2):
+        sides: tuple[tuple[str, int, dict[str, Any]], ...] = (
+            ("base", 3, {}), ("edited", 3, {"change": edited}), ("other", 4, {"scene": "free-fall"}),
+        )  # fmt: skip
+        for side, steps, changes in sides:
+            (tmp_path / side).mkdir(exist_ok=True)
+            common: dict[str, Any] = {"run": run, "steps": steps, "path_of": moving, "elapsed_s": None}
+            write_recording(tmp_path / side, moving(None, steps), **common, **changes)
+    code, document = compared(tmp_path / "base", tmp_path / "edited", capsys=capsys)
+    assert (code, document["verdict"]) == (5, "NOTHING COMPARED")
+    said = "the description of the scene differs on the other side; --across scene compares the two"
+    assert document["without_partner"][0]["reason"] == said
+    for head, differs in (("edited", 1), ("other", 2)):
+        _, document = compared(tmp_path / "base", tmp_path / head, "--across", "scene", capsys=capsys)
+        assert len(document["compared"][0]["differs"]) == differs
+        assert finding(document, "outcome")["change"] == "same", head
+        assert finding(document, "states")["change"] == "not compared"
+    said = (
+        "free-fall: positions are compared at 3 s, the last time that the recordings of all scenes have; none has 5 s"
+    )
+    assert said in document["notes"]
 
 
 def test_versions_are_what_is_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,8 +20,10 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.canonical import Law, laws
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.fidelity import DEMANDED
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
-from tests.synthetic import grid, write_recording, write_sweep
+from gpusimbench.schemas.provenance import OverflowBit
+from tests.synthetic import Shown, grid, write_recording, write_sweep
 
 
 def evaluate(folder: Path) -> Evaluation:
@@ -164,6 +166,50 @@ def test_an_idle_world_is_not_the_fastest(tmp_path: Path) -> None:
     assert fastest_of(evaluation) == (
         "quick, unproven", ("protocol-2 not met: timed steps, or evidence of work",)
     )  # fmt: skip
+
+
+def test_each_faster_group_has_its_own_reason(tmp_path: Path) -> None:
+    """Tell of a simulator's two faster configurations, barred for two reasons; the first screen says who was faster."""
+    write_recording(tmp_path, grid(2), simulator="honest", elapsed_s=4.0, proven=True)
+    sunk = grid(2)
+    sunk[:, :9, 2] = -1.0
+    write_recording(
+        tmp_path, sunk, simulator="quick", options={"solver": "a"}, elapsed_s=1.5, name="sunk.mcap", proven=True
+    )
+    write_recording(
+        tmp_path, grid(2), simulator="quick", options={"solver": "b"}, elapsed_s=0.5, name="short.mcap", proven=True
+    )
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    (found,) = fastest(evaluation.results)
+    assert {speed.result.label for speed, _ in found.faster} == {"quick [solver=a]", "quick [solver=b]"}
+    terminal = io.StringIO()
+    print_document(brief(evaluation), terminal)
+    said = " ".join(terminal.getvalue().split())
+    assert re.search(
+        r"Fastest valid simulator in inclined-collision on [^;]*: honest, 500 env-steps/s; faster, but not ranked: "
+        r"quick \[solver=b\] \(protocol-2 not met: [^)]*\); quick \[solver=a\] \(INVALID, or mechanics broken\)",
+        said,
+    ), said
+
+
+def test_a_yes_says_what_it_leaves_out(tmp_path: Path) -> None:
+    """Say beside a yes that other groups of the simulator do not report overflow, or could not be compared."""
+    told = Shown(overflow={"capture": np.zeros((5, 2), np.uint32)}, bits=(OverflowBit(0, "full", fatal=True),))
+    write_recording(tmp_path, grid(2), options={"solver": "a"}, shown=told, name="a.mcap")
+    shown = matrix(evaluate_files(sorted(tmp_path.glob("*.mcap"))))["synthetic"]
+    assert (shown["valid"].text, shown["valid"].notes) == ("yes", ())
+    assert (shown["envs alike"].text, shown["envs alike"].notes) == ("yes", ("all 2 envs",))
+    write_recording(tmp_path, grid(1), options={"solver": "b"}, name="b.mcap")
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    shown = matrix(evaluation)["synthetic"]
+    assert shown["valid"] == Cell("yes", notes=("partly not reported",), tone=Tone.WARNING)
+    assert (shown["envs alike"].text, shown["envs alike"].notes) == ("yes", ("all 2 envs, 1 group not compared",))
+    few, more = sorted(result.fidelity.held for result in evaluation.results)
+    assert 0 < few <= more < DEMANDED
+    terminal = io.StringIO()
+    print_document(brief(evaluation), terminal)
+    stands = few if few == more else f"{few} to {more}"
+    assert f"physics-2: a yes stands for {stands} of 22 checks; the others could not be made" in terminal.getvalue()
 
 
 def fastest_of(evaluation: Evaluation) -> tuple[str, tuple[str, ...]]:

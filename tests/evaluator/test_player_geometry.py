@@ -20,7 +20,7 @@ from gpusimbench.schemas.view.geometry import GEOMETRY
 from gpusimbench.schemas.view.shapes import Mesh, Shape
 from tests.browser import Browser, needs_chromium
 from tests.conftest import call
-from tests.evaluator.test_player_page import PAINTED, pixels, written
+from tests.evaluator.test_player_page import PAINTED, pixels, text, written
 
 _CUBE = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
 _SIDES = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
@@ -106,6 +106,7 @@ def test_every_shape_is_in_the_picture(browser: Browser, tmp_path: Path) -> None
         browser.evaluate(PAINTED)
         seen[name] = pixels(browser, GROUPS_LIGHT[0])
         assert browser.errors == []
+        assert text(browser, ".outside") == ""  # the arm has no shape, and is not outside
     assert min(seen.values()) > 5000, seen
     assert seen["mesh"] == pytest.approx(seen["box"], rel=0.1)
     assert seen["ellipsoid"] == pytest.approx(seen["sphere"], rel=0.1)

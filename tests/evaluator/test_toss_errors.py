@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
@@ -28,9 +29,13 @@ from gpusimbench.evaluator.metrics.tosses import (
 )
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.terminal import print_document
+from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.report.sections.scatter import pictures
+from gpusimbench.evaluator.report.sections.tosses import section
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.result import GroupResult
@@ -238,6 +243,20 @@ def test_fastest_at_equal_accuracy() -> None:
     assert "is faster and not measurably less accurate" in text
     drawn = next(p for p in pictures(evaluation) if "cube-toss" in p.caption or "cube-toss" in str(p))
     assert TOSS_POSITION.titled in str(drawn)
+
+
+def test_the_first_screen_says_what_distances_are_to() -> None:
+    """Name the tosses that are compared with on the first screen and in the section: nobody measured these."""
+    folder = Path(__file__).resolve().parents[2] / "recordings" / "cube-toss"
+    found = evaluate_files([*folder.glob("real-*.mcap"), *sorted(folder.glob("sapien-*.mcap"))])
+    said = "48 tosses: synthetic tosses, made by a simulation"
+    screen = io.StringIO()
+    print_document(brief(found), screen)
+    assert f"distance: mean error of position against {said}" in screen.getvalue()
+    assert "no distance to reality" not in screen.getvalue()
+    tosses = section(Source(found, False, ""))
+    assert tosses is not None
+    assert tosses.summary.startswith(f"{said}; 1 group; ")
 
 
 def test_a_throughput_belongs_to_the_errors_of_its_configuration() -> None:

@@ -327,6 +327,9 @@ def test_states_up_to_the_explosion(tmp_path: Path) -> None:
     states = recording.state("joints", "qpos")[:]
     assert np.isfinite(states[:step]).all() and not np.isfinite(states[step]).all()
     assert f"step {step}, env 0, joints/" in said
+    # MuJoCo warns in all three, in the same words where two step the same
+    told = [part.partition(": ")[0] for part in recording.reason.split("; ") if part.startswith("phase ")]
+    assert told == ["phase warmup", "phase timed", "phase capture"]
 
 
 def test_a_capture_shorter_than_the_way_to_the_explosion(tmp_path: Path) -> None:

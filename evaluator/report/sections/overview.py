@@ -24,13 +24,12 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, speaks_against
+from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, not_ranked
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import LAWS, NOT_COMPARED, QUESTIONS, TO_REFERENCE, judged, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import is_instrument
 
@@ -200,17 +199,11 @@ def _named(speed: Speed | None) -> Cell:
 def _barred(found: Fastest, results: Sequence[GroupResult]) -> Cell:
     if not found.faster:
         return Cell("-")
-    names: dict[str, list[str]] = {}
-    for speed, _ in found.faster:
-        names.setdefault(_against(speed.result, results), []).append(speed.result.group.key.simulator)
+    by_kind = not_ranked(found, results)
+    simulators = [speed.result.group.key.simulator for speed, _ in found.faster]
+    names = {  # of one simulator with several reasons, which group has which
+        why: [r.label if simulators.count(r.group.key.simulator) > 1 else r.group.key.simulator for r in those]
+        for why, those in by_kind.items()
+    }
     notes = [why if len(names) == 1 else f"{', '.join(those)}: {why}" for why, those in names.items()]
     return Cell(", ".join(name for those in names.values() for name in those), notes=tuple(notes), tone=Tone.BAD)
-
-
-def _against(result: GroupResult, results: Sequence[GroupResult]) -> str:
-    """What kind of reason speaks against naming a throughput first; the section on throughput has it in full."""
-    if faults_anywhere(result, results):
-        return "INVALID, or mechanics broken"
-    if speaks_against(result, results):
-        return f"{PROTOCOL} not met: timed steps, or evidence of work"
-    return "larger error against the tosses"

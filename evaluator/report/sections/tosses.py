@@ -102,7 +102,10 @@ def _whole(source: Source, order: Sequence[Ranked]) -> tuple[list[Block], str]:
         Text(_floor(best)),
     ]
     error = known(best.metrics[TOSS_POSITION.name].value) or 0.0
-    said = f"{plural(len(order), 'group')}; smallest error of position: {best.label}, {figure(error, 'cm')} cm"
+    reference = source.evaluation.reference
+    # not every set of tosses was measured: what the set says of itself stands before any error
+    what = f"{reference.label}; " if reference and reference.tosses else ""
+    said = f"{what}{plural(len(order), 'group')}; smallest error of position: {best.label}, {figure(error, 'cm')} cm"
     if quick := _fastest_at_equal_accuracy(source, {one.result.group.key.scene for one in order}):
         blocks.append(Text(quick))
         said += f"; {quick[0].lower()}{quick[1:].rstrip('.')}"

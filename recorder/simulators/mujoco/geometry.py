@@ -118,8 +118,9 @@ class _Shapes:
             yield f"{boxes} meshes or height fields are drawn as boxes: there is no room for their triangles"
         if hidden := m.ngeom - len(self.shown):
             yield f"{hidden} shapes are not drawn, as in MuJoCo's own viewer: transparent ones, and geom groups 3 to 5"
-        if m.nflex or m.nskin:
-            yield f"flexible bodies ({m.nflex}) and skins ({m.nskin}) are not drawn"
+        soft = [f"{what} ({n})" for what, n in (("flexible bodies", m.nflex), ("skins", m.nskin)) if n]
+        if soft:
+            yield f"{' and '.join(soft)} are not drawn"
 
     def _seen(self, geom: int) -> bool:
         m = self._model
