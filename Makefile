@@ -9,6 +9,8 @@ JOBS   ?= 2
 # Simulators whose environments make test-all sets up; make engines has them all, with minutes of kernel builds.
 ENGINES     ?= calibration physx sapien
 ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
+# Hundreds of processes of the tests load the same modules, which are to be compiled once.
+unexport PYTHONDONTWRITEBYTECODE
 export GSB_ENVIRONMENTS ?= $(abspath $(VENV))/environments
 
 .PHONY: help install demo test test-all engines environments test-engines test-training coverage mutants lint proto locks figures site man bench clean
@@ -54,11 +56,13 @@ lint: $(VENV)/.installed-test
 test: lint
 	$(BIN)/python -m pytest -m 'not slow and not alone' -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-test-all: lint environments
+# Installations wait for packages, and checks for a processor: they take turns. Files that hold no test to be run alone
+# are not asked for such tests, for all files take half a minute to be read.
+test-all:
+	$(MAKE) -j $(JOBS) --output-sync lint environments $(VENV)/training/.whole
 	$(BIN)/python -m pytest -m 'not alone' -n $(JOBS) --dist loadfile --no-loadscope-reorder
-	$(BIN)/python -m pytest -m alone
-	$(MAKE) test-engines
-	$(MAKE) test-training
+	$(BIN)/python -m pytest -m alone $$(grep -rl --include='*.py' mark.alone tests)
+	$(MAKE) -j $(JOBS) --output-sync test-engines test-training
 
 engines:
 	$(MAKE) test-all ENGINES="$(ALL_ENGINES)"
@@ -79,8 +83,9 @@ test-engines: environments
 	  PYTHONPATH="$(CURDIR)/src:$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine*.py || exit; \
 	done
 
-# Tests that train with a library, in an environment that has it and torch; no other test needs them.
-$(VENV)/training/.whole: pyproject.toml constraints.txt
+# Tests that train with a library, in an environment that has it and torch; no other test needs them. Two installations of
+# this package write to the same folder, so they follow each other.
+$(VENV)/training/.whole: pyproject.toml constraints.txt | $(VENV)/.installed-test
 	test -x $(VENV)/training/bin/python || $(PYTHON) -m venv $(VENV)/training
 	$(VENV)/training/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	  -e '.[record]' 'gymnasium[mujoco]' stable-baselines3 torch hypothesis playwright pytest
