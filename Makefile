@@ -43,7 +43,7 @@ $(VENV)/.installed-test: $(VENV)/.installed-demo
 install: $(VENV)/.installed-demo
 
 demo: install
-	$(BIN)/gsb-record --sim mujoco --out $(OUT)
+	$(BIN)/gsb-record --sim mujoco --out $(OUT) $(MORE)
 	$(BIN)/gsb-eval $(OUT)/*.mcap --html $(OUT)/report --json $(OUT)/results.json
 
 lint: $(VENV)/.installed-test
