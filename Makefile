@@ -61,7 +61,7 @@ test: lint
 test-all:
 	$(MAKE) -j $(JOBS) --output-sync lint environments $(VENV)/training/.whole
 	$(BIN)/python -m pytest -m 'not alone' -n $(JOBS) --dist loadfile --no-loadscope-reorder
-	$(BIN)/python -m pytest -m alone $$(grep -rl --include='*.py' mark.alone tests)
+	$(BIN)/python -m pytest -m alone $$(grep -rl --include='*.py' mark.alone tests | sort)
 	$(MAKE) -j $(JOBS) --output-sync test-engines test-training
 
 engines:
