@@ -6,6 +6,8 @@ OUT    ?= demo
 SAMPLE ?= 100
 SEED   ?= 1
 JOBS   ?= 2
+# What takes longest is printed at the end of each part of test-all.
+SLOWEST := --durations=60 --durations-min=5
 # Simulators whose environments make test-all sets up; make engines has them all, with minutes of kernel builds.
 ENGINES     ?= calibration physx sapien
 ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
@@ -60,8 +62,8 @@ test: lint
 # are not asked for such tests, for all files take half a minute to be read.
 test-all:
 	$(MAKE) -j $(JOBS) --output-sync lint environments $(VENV)/training/.whole
-	$(BIN)/python -m pytest -m 'not alone' -n $(JOBS) --dist loadfile --no-loadscope-reorder
-	$(BIN)/python -m pytest -m alone $$(grep -rl --include='*.py' mark.alone tests | sort)
+	$(BIN)/python -m pytest -m 'not alone' $(SLOWEST) -n $(JOBS) --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m alone $(SLOWEST) $$(grep -rl --include='*.py' mark.alone tests | sort)
 	$(MAKE) -j $(JOBS) --output-sync test-engines test-training
 
 engines:
