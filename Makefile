@@ -11,8 +11,6 @@ SLOWEST := --durations=60 --durations-min=5
 # Simulators whose environments make test-all sets up; make engines has them all, with minutes of kernel builds.
 ENGINES     ?= calibration physx sapien
 ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
-# Hundreds of processes of the tests load the same modules, which are to be compiled once.
-unexport PYTHONDONTWRITEBYTECODE
 export GSB_ENVIRONMENTS ?= $(abspath $(VENV))/environments
 
 .PHONY: help install demo test test-all engines environments test-engines test-training coverage mutants lint proto locks figures site man bench clean
@@ -53,6 +51,9 @@ lint: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Hundreds of processes load the same modules, which are compiled once.
+test test-all: export PYTHONDONTWRITEBYTECODE :=
 
 # Files of tests are spread over JOBS processes, in their order; those that mind what runs beside them come after.
 test: lint
