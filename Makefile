@@ -6,6 +6,8 @@ OUT    ?= demo
 SAMPLE ?= 100
 SEED   ?= 1
 JOBS   ?= 2
+# What takes longest is printed at the end of each part of test-all.
+SLOWEST := --durations=60 --durations-min=5
 # Simulators whose environments make test-all sets up; make engines has them all, with minutes of kernel builds.
 ENGINES     ?= calibration physx sapien
 ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
@@ -41,7 +43,7 @@ $(VENV)/.installed-test: $(VENV)/.installed-demo
 install: $(VENV)/.installed-demo
 
 demo: install
-	$(BIN)/gsb-record --sim mujoco --out $(OUT)
+	$(BIN)/gsb-record --sim mujoco --out $(OUT) $(MORE)
 	$(BIN)/gsb-eval $(OUT)/*.mcap --html $(OUT)/report --json $(OUT)/results.json
 
 lint: $(VENV)/.installed-test
@@ -50,15 +52,20 @@ lint: $(VENV)/.installed-test
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# Hundreds of processes load the same modules, which are compiled once.
+test test-all: export PYTHONDONTWRITEBYTECODE :=
+
 # Files of tests are spread over JOBS processes, in their order; those that mind what runs beside them come after.
 test: lint
 	$(BIN)/python -m pytest -m 'not slow and not alone' -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-test-all: lint environments
-	$(BIN)/python -m pytest -m 'not alone' -n $(JOBS) --dist loadfile --no-loadscope-reorder
-	$(BIN)/python -m pytest -m alone
-	$(MAKE) test-engines
-	$(MAKE) test-training
+# Installations wait for packages, and checks for a processor: they take turns. Files that hold no test to be run alone
+# are not asked for such tests, for all files take half a minute to be read.
+test-all:
+	$(MAKE) -j $(JOBS) --output-sync lint environments $(VENV)/training/.whole
+	$(BIN)/python -m pytest -m 'not alone' $(SLOWEST) -n $(JOBS) --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m alone $(SLOWEST) $$(grep -rl --include='*.py' mark.alone tests | sort)
+	$(MAKE) -j $(JOBS) --output-sync test-engines test-training
 
 engines:
 	$(MAKE) test-all ENGINES="$(ALL_ENGINES)"
@@ -79,8 +86,9 @@ test-engines: environments
 	  PYTHONPATH="$(CURDIR)/src:$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine*.py || exit; \
 	done
 
-# Tests that train with a library, in an environment that has it and torch; no other test needs them.
-$(VENV)/training/.whole: pyproject.toml constraints.txt
+# Tests that train with a library, in an environment that has it and torch; no other test needs them. Two installations of
+# this package write to the same folder, so they follow each other.
+$(VENV)/training/.whole: pyproject.toml constraints.txt | $(VENV)/.installed-test
 	test -x $(VENV)/training/bin/python || $(PYTHON) -m venv $(VENV)/training
 	$(VENV)/training/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	  -e '.[record]' 'gymnasium[mujoco]' stable-baselines3 torch hypothesis playwright pytest

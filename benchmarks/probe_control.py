@@ -5,7 +5,7 @@ none. Seeds, numbers of environments, spreads and steps differ from probe to pro
 its recordings, which a second process makes, in the calibration simulator's own environment (gsb-record --setup
 calibration); it records all of them, since a process of its own for each of a few thousand runs would take hours.
 
-    python -m benchmarks.probe_control [--probes 132]         the table of docs/probe.md
+    python -m benchmarks.probe_control [--probes 132] [--clean 132]         the table of docs/probe.md
 """
 
 from __future__ import annotations
@@ -81,10 +81,10 @@ class Probe:
         return {**given, **size, "device": "cpu"}
 
 
-def probes(count: int, seed: int = 0) -> Iterator[Probe]:
-    """As many with a fault as without; faults take turns."""
+def probes(count: int, clean: int, seed: int = 0) -> Iterator[Probe]:
+    """Those with a fault, which take turns, and those without."""
     drawn = random.Random(seed)
-    for number in range(2 * count):
+    for number in range(count + clean):
         planted = list(FOUND_BY)[number % len(FOUND_BY)] if number < count else ""
         ulps = SIZES[number // len(FOUND_BY) % len(SIZES)] if planted else 0
         steps = drawn.randrange(30, 61)
@@ -212,7 +212,8 @@ def recorded_elsewhere(jobs: list[dict[str, Any]], file: Path) -> None:
 def main() -> None:
     """Plant, record, judge, count."""
     p = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
-    p.add_argument("--probes", type=int, default=132, help="with a fault, and as many without")
+    p.add_argument("--probes", type=int, default=132, help="with a fault (default: %(default)s)")
+    p.add_argument("--clean", type=int, help="without a fault (default: as many)")
     p.add_argument("--record", type=Path, help=argparse.SUPPRESS)
     arguments = p.parse_args()
     if arguments.record:
@@ -221,7 +222,8 @@ def main() -> None:
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        drawn = list(probes(arguments.probes))
+        clean = arguments.probes if arguments.clean is None else arguments.clean
+        drawn = list(probes(arguments.probes, clean))
         made = 0
         for attempt in range(4):  # all; those that continue others; twice those that differ
             jobs = [

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from tests.conftest import Command
 from tests.synthetic import grid, write_recording
 
-pytestmark = pytest.mark.alone
-
 _LIMIT = 320 << 20
 """Of private memory. Half of it is Python, NumPy, SciPy and what they reserve before the first file is opened."""
 

@@ -276,7 +276,7 @@ def test_known_friction_among_known_contacts(tmp_path: Path) -> None:
     """Find friction more closely where contacts and step are nearly those that the tosses were made with."""
     done = call(
         "gsb-fit", "--sim", "mujoco", "--parameters", "friction", "--option", "friction=0.25",
-        "--option", "impratio=10", "--option", "solref=0.004 1", "--dt", str(1 / 148 / 8), "--budget", "12",
+        "--option", "impratio=10", "--option", "solref=0.004 1", "--dt", str(1 / 148 / 8), "--budget", "7",
         "--out", tmp_path / "fit", "--json", "-",
     )  # fmt: skip
     assert done.returncode == ExitCode.OK, done.stderr

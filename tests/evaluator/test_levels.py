@@ -150,3 +150,14 @@ def test_refuses_hashes_that_cannot_be() -> None:
     x[1, 0, 0, 0] += 1
     with pytest.raises(ValueError, match="hashes are equal"):
         verdict(x, hashes_agree=True)
+
+
+@pytest.mark.parametrize(
+    ("max_ulp", "tolerance", "level"),
+    [(0.0, 0.0, Level.DIFFERENT), (0.0, 1e-4, Level.WITHIN_TOLERANCE), (8.0, 0.0, Level.DIFFERENT)],
+)
+def test_limits_of_zero_are_limits(max_ulp: float, tolerance: float, level: Level) -> None:
+    """Take zero for either limit: what is one unit apart has to pass the tolerance whatever its units are."""
+    x = samples()
+    x[1, 1, 3, 0] = np.nextafter(x[1, 1, 3, 0], np.float32(np.inf))
+    assert verdict(x, hashes_agree=False, max_ulp=max_ulp, tolerance=tolerance).level is level

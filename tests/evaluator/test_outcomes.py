@@ -182,3 +182,10 @@ def test_values_that_are_none_are_refused() -> None:
         p_value([1.0, np.nan], [0, 1])
     with pytest.raises(ValueError, match="shapes"):
         p_value([1.0, 2.0], [0])
+
+
+def test_ranges_that_touch_are_not_apart() -> None:
+    """Let values go with no outcome whose range ends where another's begins, on either side."""
+    lower, higher = [1.0, 2.0, 3.0, 4.0, 5.0], [5.0, 6.0, 7.0, 8.0, 9.0]
+    assert p_value(lower + higher, labels_of((5, 5))) == p_value(higher + lower, labels_of((5, 5))) == 1.0
+    assert p_value([*lower[:-1], 4.9, *higher], labels_of((5, 5))) <= ALPHA

@@ -26,8 +26,6 @@ from tests.conftest import run_python, searched
 from tests.synthetic import grid, write_recording
 from tests.test_docs import blocks, commands, shell
 
-pytestmark = pytest.mark.alone
-
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "scale.md"
 
@@ -50,6 +48,7 @@ def lines(text: str) -> list[str]:
     return [line.rstrip() for line in text.strip("\n").splitlines()]
 
 
+@pytest.mark.alone
 @pytest.mark.slow
 def test_a_cluster_prints_what_the_page_shows(folder: Path) -> None:
     """Print the table of the page, with a cluster and without."""
@@ -85,6 +84,7 @@ def _taken(path: Path) -> tuple[int, int]:
     return found
 
 
+@pytest.mark.alone
 def test_what_is_kept_and_what_is_taken(tmp_path: Path) -> None:
     """Keep and take of a file what the page's formula says, and not much less."""
     noise = np.random.default_rng(0)
@@ -108,6 +108,7 @@ def test_what_is_kept_and_what_is_taken(tmp_path: Path) -> None:
     assert taken[1024, 200] - taken[1024, 100] < 24 * 1024 * 100  # though the file is twice as large
 
 
+@pytest.mark.slow
 def test_environments_of_the_runs_all_differ(tmp_path: Path) -> None:
     """Record runs in which no two environments, and no two runs, are the same, so that nothing is left out."""
     pytest.importorskip("mujoco")
@@ -118,6 +119,7 @@ def test_environments_of_the_runs_all_differ(tmp_path: Path) -> None:
     assert histories[0].until(11) != histories[1].until(11)
 
 
+@pytest.mark.slow
 def test_the_script_runs() -> None:
     """Measure tiny runs and print every line, each with a number."""
     pytest.importorskip("mujoco")

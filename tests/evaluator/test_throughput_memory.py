@@ -1,10 +1,11 @@
-"""Throughput and memory."""
+"""Throughput, memory and start-up."""
 
 from __future__ import annotations
 
 import pytest
 
 from gpusimbench.evaluator.metrics.memory import Checkpoints, peak_increment
+from gpusimbench.evaluator.metrics.startup import typical_time
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
 
 
@@ -41,3 +42,20 @@ def test_checkpoints() -> None:
     assert Checkpoints(baseline=100, peak=350).peak_increment == 250
     assert Checkpoints(baseline=100, final=200).peak_increment is None
     assert Checkpoints(peak=100).peak_increment is None
+
+
+@pytest.mark.parametrize(
+    ("peak", "increment", "shrank"), [(99, None, True), (100, 0, False), (101, 1, False), (None, None, False)]
+)
+def test_a_peak_about_the_baseline(peak: int | None, increment: int | None, shrank: bool) -> None:
+    """Say that memory was given back where the peak lies below the baseline, and not where it is the same."""
+    found = Checkpoints(baseline=100, peak=peak)
+    assert (found.peak_increment, found.shrank) == (increment, shrank)
+
+
+def test_the_first_run_that_fills_caches_is_not_typical() -> None:
+    """Take the median of start-up times, which one run that compiles what others find does not move."""
+    assert typical_time([60.0, 2.0, 3.0]) == 3.0
+    assert typical_time([60.0, 2.0, 3.0, 4.0]) == 3.5
+    with pytest.raises(ValueError, match="at least one"):
+        typical_time([])

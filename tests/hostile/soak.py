@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import random
 import resource
@@ -32,6 +33,7 @@ def main(argv: list[str] | None = None) -> int:
     p.add_argument("--mutator", action="append", metavar="NAME", help="default: all of them")
     p.add_argument("--seed", type=int, help="default: a random one, which is printed")
     p.add_argument("--count", type=int, help="of each mutator (default: until the time is over)")
+    p.add_argument("--first", type=int, default=0, metavar="NUMBER", help="mutant of each (default: 0)")
     p.add_argument("--minutes", type=float, default=1.0)
     p.add_argument("--keep", type=Path, metavar="DIR", help="where to keep what breaks a promise")
     p.add_argument("--memory", type=int, default=MEMORY_BYTES, metavar="BYTES", help="address space allowed")
@@ -43,26 +45,32 @@ def main(argv: list[str] | None = None) -> int:
         from tests.hostile.corpus import make_corpus
 
         corpus = arguments.corpus or make_corpus(Path(folder))
-        found = soak(corpus, arguments.mutator, seed, arguments.count, 60 * arguments.minutes, arguments.keep)
+        first, count = arguments.first, arguments.count
+        seconds = 60 * arguments.minutes if count is None else math.inf
+        numbers = range(first, sys.maxsize if count is None else first + count)
+        found = soak(corpus, arguments.mutator, seed, numbers, seconds, arguments.keep)
     json.dump(found, sys.stdout, indent=1)
     print()
     return 1 if found["broken"] else 0
 
 
 def soak(
-    corpus: list[Path], names: list[str] | None, seed: int, count: int | None, seconds: float, keep: Path | None
+    corpus: list[Path], names: list[str] | None, seed: int, numbers: range, seconds: float, keep: Path | None
 ) -> dict[str, object]:
-    """Spoil and read; what came of it by mutator, and what broke a promise."""
+    """Spoil and read the mutants of these numbers, until the time is over; what came of it by mutator, and what broke a
+    promise."""
     from tests.hostile.mutate import MUTATORS
     from tests.hostile.verdict import Judge
 
     chosen = names or list(MUTATORS)
     outcomes: dict[str, Counter[str]] = {name: Counter() for name in chosen}
     broken: list[str] = []
-    ends, number = time.monotonic() + seconds, 0
+    ends = time.monotonic() + seconds
     with tempfile.TemporaryDirectory() as folder:
         judge = Judge(corpus, Path(folder) / "spoiled.mcap")
-        while number < count if count is not None else time.monotonic() < ends:
+        for number in numbers:
+            if time.monotonic() > ends:
+                break
             for place, name in enumerate(chosen):  # which is used in other ways than its neighbours are
                 mutant = MUTATORS[name](random.Random(f"{seed} {name} {number}"), judge.corpus)
                 try:
@@ -74,7 +82,6 @@ def soak(
                     if keep is not None:
                         keep.mkdir(parents=True, exist_ok=True)
                         shutil.copyfile(judge.path, keep / f"{name}-{seed}-{number}.mcap")
-            number += 1
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return {"seed": seed, "outcomes": {n: dict(c) for n, c in outcomes.items()}, "peak_bytes": peak, "broken": broken}
 

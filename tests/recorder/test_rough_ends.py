@@ -148,7 +148,7 @@ _TINY = ("--steps", "20", "--warmup", "2", "--timed-steps", "5")
 @pytest.mark.slow
 def test_two_recorders_and_one_folder(tmp_path: Path) -> None:
     """Keep all recordings of two commands that write into one folder in the same seconds."""
-    arguments = [*command("gsb-record"), "--sim", "mujoco", "--n-env", "2", "--runs", "10", *_TINY]
+    arguments = [*command("gsb-record"), "--sim", "mujoco", "--n-env", "2", "--runs", "5", *_TINY]
     both = [
         subprocess.Popen(
             [*arguments, "--out", str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -158,13 +158,13 @@ def test_two_recorders_and_one_folder(tmp_path: Path) -> None:
     ended = [process.communicate(timeout=300) for process in both]
     assert [process.returncode for process in both] == [0, 0], ended
     told = [line for out, _ in ended for line in out.split()]
-    assert len(set(told)) == 20
+    assert len(set(told)) == 10
     assert sorted(told) == sorted(map(str, tmp_path.iterdir()))
     recordings = [open_recording(path) for path in told]
     for recording in recordings:
         verify(recording)
         assert recording.status == "complete"
-    assert len({recording.provenance.run_id for recording in recordings}) == 20
+    assert len({recording.provenance.run_id for recording in recordings}) == 10
 
 
 _ON_A_SMALL_DISK = """
