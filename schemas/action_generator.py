@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.fingerprint import COMPILED_BYTES
 from gpusimbench.schemas.mixing import GOLDEN32, mix32, mix32_in_place
 
 GRID = 2.0**-13
@@ -39,6 +38,9 @@ MAX_RANGE = 1 << _WORD_BITS
 
 MAX_WIDTH = 256
 """Numbers that an environment is given in a step by a generator that is described in a file."""
+
+COMPILED_BYTES = 1_000_000_000
+"""Of actions, from which on machine code pays: numpy draws about as long as it takes to load numba."""
 
 _fill: Callable[..., None] | None = None
 

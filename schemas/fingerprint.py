@@ -29,12 +29,17 @@ ALGORITHM = "sum-splitmix64-v1"
 
 _WORD = {1: "<u1", 2: "<u2", 4: "<u4", 8: "<u8"}
 
-_WORDS = 1 << 15  # at a time: few enough for a core's cache, many enough for several threads to share an interpreter
+_ALONE_CPUS = 3
+_WORDS = 1 << (15 if (os.cpu_count() or 1) <= _ALONE_CPUS else 17)
+"""At a time: few enough for a core's cache. Where several threads work, and share the interpreter, more of them, since
+each call may have to wait for it: 1 GB took six threads 1.6 s, and 2.2 s with a quarter of the words."""
+
 _FEW_WORDS = 4
 _MASK = (1 << 64) - 1
 
-COMPILED_BYTES = 1_000_000_000
-"""Of states, from which on compiled hashes pay: numpy takes about as long for them as it takes to load numba."""
+COMPILED_BYTES = 2_000_000_000
+"""Of states, from which on compiled hashes pay: loading numba takes 1 to 2 s, in which other threads wait for the
+interpreter. Of 1 GB, numpy's were ready sooner by a quarter, of 4 GB later by a quarter."""
 
 _LOADING_S = 10.0
 """That a fork waits at most until the machine code is loaded, which takes 1 to 3 s."""

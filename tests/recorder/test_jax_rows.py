@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
+from gpusimbench.schemas.errors import DataLost
 from tests.conftest import finished
 
 jax = pytest.importorskip("jax")
@@ -82,6 +83,7 @@ from jax.numpy import ones
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from gpusimbench import UsageError
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
+from gpusimbench.schemas.errors import DataLost
 
 first, second = jax.devices()
 both = NamedSharding(Mesh((first, second), ("x",)), PartitionSpec("x"))
@@ -110,3 +112,54 @@ def test_arrays_on_several_devices() -> None:
         f"{name} is on {at}, {kept}"
         for at in ("cpu:1", "cpu:0, cpu:1") for name in ("seen", "reward")
     ]  # fmt: skip
+
+
+def _stepped(rows: JaxRows, numbers: range, kept: list[Any]) -> None:
+    for number in numbers:
+        row = {"observation": jax.numpy.arange(6.0).reshape(3, 2) + number, "reward": jax.numpy.full(N_ENV, number)}
+        kept.append(row)
+        rows.keep(dict(row))
+
+
+def test_rows_that_wait_for_others() -> None:
+    """Take all of them, in their order, however many there are: with arrays of numpy among them, and replaced ones."""
+    for count in (3, 20, 21, 29, 30, 31, 47):
+        rows, kept = JaxRows(), list[Any]()
+        _stepped(rows, range(count), kept)
+        assert np.array_equal(rows.last(["reward"])()["reward"], np.full(N_ENV, count - 1))
+        rows.replace({"observation": jax.numpy.zeros((3, 2))})
+        kept[-1] = {**kept[-1], "observation": np.zeros((3, 2))}
+        _stepped(rows, range(count, count + 4), kept)
+        changing = {"observation": np.ones((3, 2), np.float32), "reward": kept[-1]["reward"]}
+        rows.keep(changing)
+        kept.append({**changing, "observation": np.ones((3, 2))})
+        changing["observation"][:] = 5
+        found = rows.take()()
+        for name, array in found.items():
+            assert np.array_equal(array, np.stack([np.asarray(row[name]) for row in kept])), (count, name)
+        _stepped(rows, range(3), again := list[Any]())
+        assert np.array_equal(rows.take()()["reward"], np.stack([row["reward"] for row in again]))
+
+
+@pytest.mark.parametrize("take", [False, True])
+def test_arrays_whose_memory_is_taken(take: bool) -> None:
+    """Keep rows whose arrays are donated in each step; where that begins late, say so, and keep the rows before."""
+    give = jax.jit(lambda array: array + 1, donate_argnums=0)
+    rows = JaxRows()
+    for number in range(45):
+        array = jax.numpy.full(N_ENV, float(number))
+        rows.keep({"reward": array})
+        give(array)
+    assert np.array_equal(rows.take()()["reward"][:, 0], np.arange(45.0))
+
+    rows, kept = JaxRows(), list[Any]()
+    _stepped(rows, range(27), kept)
+    give(kept[-2]["reward"])  # before it is written with the others
+    if take:
+        found = rows.take()()
+        assert "donate_argnums" in str(rows.lost)
+    else:
+        with pytest.raises(DataLost, match="donate_argnums"):
+            _stepped(rows, range(27, 40), kept)
+        found = rows.take()()
+    assert np.array_equal(found["reward"][:, 0], np.arange(25.0))

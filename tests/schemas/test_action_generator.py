@@ -24,7 +24,6 @@ from gpusimbench.schemas.action_generator import (
 )
 from gpusimbench.schemas.blocks import action_parts, decode_action, decode_state, generated_action, raw_action
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.fingerprint import COMPILED_BYTES
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.mixing import GOLDEN32
 
@@ -111,13 +110,13 @@ def test_where_actions_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
     monkeypatch.setattr(action_generator, "_fill", None)
     monkeypatch.delitem(sys.modules, "numba")
-    action_generator.expect(COMPILED_BYTES - 1)
+    action_generator.expect(action_generator.COMPILED_BYTES - 1)
     assert action_generator._fill is None
     monkeypatch.undo()
     monkeypatch.setattr(action_generator, "_fill", None)
-    action_generator.expect(COMPILED_BYTES // 10 - 1)
+    action_generator.expect(action_generator.COMPILED_BYTES // 10 - 1)
     assert action_generator._fill is None
-    action_generator.expect(COMPILED_BYTES // 10)
+    action_generator.expect(action_generator.COMPILED_BYTES // 10)
     assert action_generator._fill is not None
 
 

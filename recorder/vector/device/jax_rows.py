@@ -5,15 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
+from itertools import takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.device.rows import Arrays, Columns, Rows
-from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.errors import DataLost, UsageError
 
 _LARGE = 128 << 10  # bytes of an array that is written alone: joining it costs a CPU more than another kernel
+
+# A call that writes a row takes 0.17 ms beside a step that keeps the thread busy, one that writes ten little more. So
+# arrays wait for those of later steps: at most so many rows, of so many bytes.
+_TOGETHER = 10
+_TOGETHER_BYTES = 32 << 20
+_WATCHED = 2 * _TOGETHER  # rows that do not wait, to see whether their arrays are donated to a function afterwards
 
 
 class _Place(NamedTuple):
@@ -37,7 +44,8 @@ class JaxRows(Rows):
     """For each dtype an array [row, number] that a compiled function writes into, in place.
 
     The arrays of one dtype lie in it side by side: a GPU starts a kernel for each dtype, and not for each array. Full
-    blocks are handed over, and new ones made.
+    blocks are handed over, and new ones made. JAX's arrays do not change, so that several rows are written at a time;
+    those of a program that donates them to its functions are written at once.
     """
 
     def __init__(self) -> None:
@@ -45,6 +53,10 @@ class JaxRows(Rows):
         self._blocks: dict[str, Any] = {}
         self._places: dict[str, _Place] = {}
         self._numbers: list[Any] = []  # of rows, on the device: none is sent there in a step
+        self._together = 1  # rows that one call writes
+        self._held: list[tuple[Any, ...]] = []  # the last rows, which are not in the block yet
+        self._last: tuple[Any, ...] = ()  # arrays of the last row that did not wait
+        self._to_watch = _WATCHED
 
     @staticmethod
     def described(array: Any) -> tuple[np.dtype[Any], tuple[int, ...]]:
@@ -54,22 +66,69 @@ class JaxRows(Rows):
 
     def _put(self, row: Arrays, at: int) -> None:
         if not self._places:
-            self._places, self._numbers = _places(row), _numbers(self._most)
+            self._begin(row)
+        if at == self.filled and self._may_wait(row):
+            self._held.append(tuple([row[name] for name in self._places]))
+            if len(self._held) == self._together:
+                self._write_held(at + 1)
+            return
+        self._write_held(self.filled)
         names = [name for name in self._places if name in row]
+        self._write(names, at, (tuple([row[name] for name in names]),))
+
+    def _begin(self, row: Arrays) -> None:
+        self._places, self._numbers = _places(row), _numbers(self._most)
+        size = sum(self.itemsize(array) * math.prod(array.shape) for array in row.values())
+        if self._most >= _TOGETHER and size * _TOGETHER <= _TOGETHER_BYTES:
+            self._together = _TOGETHER
+            # compiled now, and not in the midst of steps; what it writes is overwritten
+            self._write(list(self._places), 0, (tuple([row[name] for name in self._places]),) * _TOGETHER)
+
+    def _may_wait(self, row: Arrays) -> bool:
+        # arrays of numpy may change, and those that are donated are there no more
+        if self._together == 1 or not all(hasattr(array, "is_deleted") for array in row.values()):
+            return False
+        if self._to_watch:
+            self._to_watch -= 1
+            if _deleted(self._last):
+                self._together = 1
+            self._last = tuple(row.values()) if self._to_watch and self._together > 1 else ()
+            return False
+        return True
+
+    def _write_held(self, stop: int) -> None:
+        # the rows that end before row `stop`
+        held, self._held = self._held, []
+        first = stop - len(held)
+        there = list(takewhile(lambda arrays: not _deleted(arrays), held))
+        calls = (tuple(there),) if len(there) == self._together else tuple((arrays,) for arrays in there)
+        for number, rows in enumerate(calls):
+            self._write(list(self._places), first + number, rows)
+        if len(there) < len(held):
+            self.filled = first + len(there)
+            raise DataLost(
+                f"arrays of step {len(held) - len(there)} before this one are there no more: a function took their "
+                f"memory (donate_argnums of jax.jit), which none did in the first {_WATCHED} steps; give it copies "
+                "(jnp.copy)"
+            )
+
+    def _write(self, names: list[str], at: int, rows: tuple[tuple[Any, ...], ...]) -> None:
+        # arrays of these names, of rows that follow each other from `at` on
         places = tuple([self._places[name] for name in names])
-        arrays = tuple([row[name] for name in names])
         try:
             if not self._blocks:
-                self._blocks = _zeros()(arrays, places, self._most)
+                self._blocks = _zeros()(rows[0], places, self._most)
             self._blocks |= _write(places)(
-                {place.dtype: self._blocks[place.dtype] for place in places}, self._numbers[at], arrays
+                {place.dtype: self._blocks[place.dtype] for place in places}, self._numbers[at], rows
             )
         except ValueError:  # JAX names its own functions
-            _check_devices(row, self._blocks)
+            for arrays in rows:
+                _check_devices(dict(zip(names, arrays, strict=True)), self._blocks)
             raise
 
     def last(self, names: Iterable[str]) -> Callable[[], Columns]:
         """See Rows.last."""
+        self._write_held(self.filled)
         places = {name: self._places[name] for name in names}
         row = {place.dtype: self._blocks[place.dtype][self.filled - 1] for place in places.values()}
 
@@ -80,15 +139,23 @@ class JaxRows(Rows):
         return arrived
 
     def _take(self, filled: int) -> Callable[[], Columns]:
+        try:
+            self._write_held(filled)
+        except DataLost as lost:  # the rows before are there
+            self.lost, filled = lost, self.filled
         blocks, self._blocks = self._blocks, {}
-        for block in blocks.values():
-            block.copy_to_host_async()
 
         def arrived() -> Columns:
+            for block in blocks.values():  # here, since it takes a thread 3 ms until 16 MB have begun to be copied
+                block.copy_to_host_async()
             rows = {dtype: np.asarray(block)[:filled] for dtype, block in blocks.items()}
             return {name: place.of(rows) for name, place in self._places.items()}
 
         return arrived
+
+
+def _deleted(arrays: Iterable[Any]) -> bool:
+    return any(array.is_deleted() for array in arrays)
 
 
 def _check_devices(row: Arrays, blocks: Arrays) -> None:
@@ -118,14 +185,15 @@ def _places(row: Arrays) -> dict[str, _Place]:
 
 @cache
 def _write(places: tuple[_Place, ...]) -> Callable[..., dict[str, Any]]:
-    """A function that puts arrays into their places in a row of blocks, in the memory of these."""
+    """A function that puts arrays into their places in rows of blocks that follow each other, in their memory."""
     import jax
     import jax.numpy as jnp
 
-    def write(blocks: dict[str, Any], at: Any, arrays: tuple[Any, ...]) -> dict[str, Any]:
+    def write(blocks: dict[str, Any], at: Any, rows: tuple[tuple[Any, ...], ...]) -> dict[str, Any]:
         blocks = dict(blocks)
-        for begin, dtype, parts in _runs(places, arrays):
-            numbers = jnp.concatenate(parts)[None]
+        for runs in zip(*(_runs(places, arrays) for arrays in rows), strict=True):
+            begin, dtype, _ = runs[0]
+            numbers = jnp.stack([jnp.concatenate(parts) for _, _, parts in runs])
             blocks[dtype] = jax.lax.dynamic_update_slice(blocks[dtype], numbers, (at, np.uint32(begin)))
         return blocks
 

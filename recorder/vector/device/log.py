@@ -64,6 +64,8 @@ class HostLog:
     def append(self, rows: Columns, resets: Mapping[int, Reset]) -> None:
         """Write rows that follow those of the last call; see History. The first call begins the recording."""
         about = self._about
+        if not len(rows["reward"]):  # all rows of a block were lost
+            return
         if self._history is None:
             self._history = History(rows["reward"].shape[1], about.mode, hidden=about.hidden)
         of_images: dict[str, str] = {}
@@ -217,6 +219,8 @@ class DeviceLog:
             if self._rows.filled and log is not None:
                 rows = self._rows.take()
                 self._put(lambda: log.append(rows(), resets))
+                if self._rows.lost is not None:
+                    raise self._rows.lost
 
     @property
     def _copied(self) -> bool:

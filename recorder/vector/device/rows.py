@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.ranges import STEPS_PER_BLOCK
-from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.errors import DataLost, UsageError
 
 Arrays = Mapping[str, Any]
 """Arrays of one library on a device, by name, [env, ...]."""
@@ -64,10 +64,12 @@ class Rows(ABC):
     """Rows of arrays on a device, a block of them; nothing waits for the device while it is filled.
 
     filled  rows of the block that are there
+    lost    why rows are missing behind those that were taken last; None: none are
     """
 
     def __init__(self) -> None:
         self.filled = 0
+        self.lost: DataLost | None = None
         self._most = 1
         self._since = 0.0  # when the first row of the block was kept [s]
         self._layout: _Layout = {}
@@ -83,7 +85,8 @@ class Rows(ABC):
     def keep(self, row: Arrays) -> None:
         """Add a row. The arrays may change afterwards.
 
-        UsageError where an array has another dtype or shape than in the rows before.
+        UsageError where an array has another dtype or shape than in the rows before; DataLost where rows that were kept
+        are there no more, which `filled` does not count then.
         """
         layout = _layout(row)
         if not self._layout:
