@@ -83,13 +83,20 @@ def _near(some: Starts, others: Starts) -> NDArray[np.bool_]:
     """Which environments of two recordings begin alike, but for rounding."""
     if some.keys() != others.keys() or any(some[name].shape != others[name].shape for name in some):
         return np.zeros(len(next(iter(some.values()))), dtype=np.bool_)
-    near: list[NDArray[np.bool_]] = [
-        np.isclose(a, b, rtol=_RELATIVE, atol=_ABSOLUTE, equal_nan=True) if a.dtype.kind == "f" else np.equal(a, b)
-        for a, b in ((some[name], others[name]) for name in some)
-    ]
+    near = [_close(some[name], others[name]) for name in some]
     return np.asarray(np.concatenate(near, axis=1).all(axis=1))
 
 
 def _several(seen: Starts) -> bool:
-    """Whether environments of a recording begin otherwise than each other, so that starts tell them apart."""
-    return any((array != array[:1]).any() for array in seen.values())
+    """Whether environments of a recording begin otherwise than each other, so that starts tell them apart.
+
+    What counts as one start in two recordings counts as one here, too.
+    """
+    return not all(_close(array, array[:1]).all() for array in seen.values())
+
+
+def _close(a: NDArray[np.generic], b: NDArray[np.generic]) -> NDArray[np.bool_]:
+    if a.dtype.kind != "f":
+        return np.asarray(np.equal(a, b))
+    with np.errstate(over="ignore"):  # large numbers of either sign are infinitely far apart
+        return np.asarray(np.isclose(a, b, rtol=_RELATIVE, atol=_ABSOLUTE, equal_nan=True))
