@@ -23,6 +23,8 @@ from gpusimbench.evaluator.episodes.side import Choice, Episodes, choose, read_s
 from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.statistics.rates import mcnemar, rate_interval, wilson
+from gpusimbench.recorder.vector.device.log import About, HostLog
+from gpusimbench.recorder.vector.modes import Mode
 from tests.conftest import call, made_once
 from tests.scripts import ROOT, example, script
 
@@ -528,6 +530,32 @@ def test_what_is_a_repeat(tmp_path: Path) -> None:
     # a seed that the task ignores makes no repeats
     told = [open_recording(search_of_other_numbers(tmp_path / f"deaf-{run}.mcap")) for run in range(2)]
     assert choose(read_side(told), 1, None, At.LAST).clusters.tolist() == [0, 1, 2, 3]
+
+
+def constant(path: Path, simulator: str, seed: int) -> Path:
+    """A recording of two environments that always begin alike, of another simulator than Gymnasium maybe."""
+    about = About(
+        simulator=simulator, version="1", scene="constant", device="cpu", mode=Mode.DISABLED, hidden=False, options={},
+        seed=seed,
+    )  # fmt: skip
+    rows = {
+        "observation": np.zeros((2, 2, 1)),
+        "action": np.zeros((2, 2, 1)),
+        "reward": np.zeros((2, 2)),
+        "terminated": np.array([[False] * 2, [True] * 2]),
+        "truncated": np.zeros((2, 2), dtype=np.bool_),
+    }
+    log = HostLog(path, steps=1, dt=0.1, about=about)
+    log.append(rows, {})
+    log.end(None)
+    return path
+
+
+@pytest.mark.parametrize(("simulator", "joined"), [("gymnasium", [0, 1, 1, 2]), ("maniskill", [0, 1, 2, 3])])
+def test_seeds_of_other_simulators_do_not_overlap(tmp_path: Path, simulator: str, joined: list[int]) -> None:
+    """Take seed plus number for the seed of an environment in recordings of Gymnasium alone."""
+    paths = [constant(tmp_path / f"{seed}.mcap", simulator, seed) for seed in (5, 6)]
+    assert choose(read_side(list(map(open_recording, paths))), 1, None, At.LAST).clusters.tolist() == joined
 
 
 def test_starts_of_any_size() -> None:
