@@ -17,7 +17,9 @@ from gpusimbench.evaluator.statistics.rates import mcnemar
 LEVEL = 0.05
 
 _SEED = 0
-_LEAST = 1e-6  # variance of a mean, of values whose largest is 1: means of equal values are not infinitely far apart
+
+LEAST = 1e-6
+"""Variance of a mean at least, of values whose largest is 1: means of equal values are not infinitely far apart."""
 
 
 @dataclass(frozen=True)
@@ -157,16 +159,16 @@ def _combined(first: float | Missing, second: float | Missing) -> float | Missin
     return float(np.hypot(first, second))
 
 
-def evenly_repeated(first: Episodes, second: Episodes) -> bool:
-    """Whether all environments of both have as many repeats."""
-    return len({*first.repeats.tolist(), *second.repeats.tolist()}) == 1
+def evenly_repeated(*groups: Episodes) -> bool:
+    """Whether all environments of all groups have as many repeats."""
+    return len(set(np.concatenate([one.repeats for one in groups]).tolist())) == 1
 
 
 def _exchanged(one: NDArray[np.float64], other: NDArray[np.float64], *, even: bool) -> float:
     """p-value of the difference of two means, by a permutation test with environments as units.
 
-    even  see difference_of; else the difference is over its standard error, since a policy whose values are means over
-          fewer repeats spreads more (Janssen 1997, studentized permutation tests)
+    even  see difference_of; else the size of the difference is over its standard error, since a policy whose values are
+          means over fewer repeats spreads more (Janssen 1997, studentized permutation tests)
     """
     from scipy import stats  # slow to load, and gsb-compare loads this module for all recordings
 
@@ -180,13 +182,14 @@ def _exchanged(one: NDArray[np.float64], other: NDArray[np.float64], *, even: bo
     def difference(a: NDArray[np.float64], b: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
         far = a.mean(axis=axis) - b.mean(axis=axis)
         if not even:
-            far = far / np.sqrt(_LEAST + sum(side.var(axis=axis, ddof=1) / side.shape[axis] for side in (a, b)))
+            far = np.abs(far) / np.sqrt(LEAST + sum(side.var(axis=axis, ddof=1) / side.shape[axis] for side in (a, b)))
         return np.asarray(APART + far)
 
     tested = stats.permutation_test(
         np.split(in_proportion(together - together.mean()), [len(one)]),
         difference,
         permutation_type="independent",
+        alternative="two-sided" if even else "greater",
         n_resamples=PERMUTATIONS,
         vectorized=True,
         batch=max(1, 10_000_000 // (len(one) + len(other))),

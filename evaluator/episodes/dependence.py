@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from gpusimbench.evaluator.episodes.comparison import LEAST, evenly_repeated
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, Outcome
 from gpusimbench.evaluator.episodes.side import Episodes, with_common_clusters
 from gpusimbench.evaluator.read.recording import Recording
@@ -50,7 +51,8 @@ class Dependence:
     name        "success" or "return"
     largest     difference of the means of two values, the highest minus the lowest
     p_value     that all values give the same: a permutation test with environments as units, of the sum over values of
-                environments times the squared distance of their mean from the mean of all
+                environments times the squared distance of their mean from the mean of all; over the variance of their
+                values, where some values were recorded more often than others
     adjusted_p  by Holm, over the quantities
     paired      whether the same environments began alike under all values: each is exchanged with its repeats alone
     """
@@ -101,21 +103,26 @@ def dependences(groups: Sequence[Episodes]) -> tuple[Dependence, ...]:
     common = with_common_clusters(groups)
     clusters = [np.unique(one.clusters) for one in common]
     paired = all(np.array_equal(one, clusters[0]) for one in clusters)
+    even = paired or evenly_repeated(*common)
     flags = [one.by_cluster(one.success).mean(axis=1) for one in common if one.success is not None]
-    found = [_dependence(SUCCESS, flags, paired=paired)] if len(flags) == len(groups) else []
-    found.append(_dependence(RETURN, [one.by_cluster(one.returns).mean(axis=1) for one in common], paired=paired))
+    found = [_dependence(SUCCESS, flags, paired=paired, even=even)] if len(flags) == len(groups) else []
+    returns = [one.by_cluster(one.returns).mean(axis=1) for one in common]
+    found.append(_dependence(RETURN, returns, paired=paired, even=even))
     adjusted = holm([one.p_value for one in found])
     return tuple(replace(one, adjusted_p=p) for one, p in zip(found, adjusted, strict=True))
 
 
-def _dependence(name: str, by_env: Sequence[NDArray[np.float64]], *, paired: bool = False) -> Dependence:
+def _dependence(
+    name: str, by_env: Sequence[NDArray[np.float64]], *, paired: bool = False, even: bool = True
+) -> Dependence:
     # paired  values of one place are of environments that began alike
+    # even    all values are means over as many repeats; else groups spread otherwise, and their variances count
     means = [float(one.mean()) for one in by_env]
-    p = _exchanged(by_env, paired=paired)
+    p = _exchanged(by_env, paired=paired, even=even or min(map(len, by_env)) < 2)
     return Dependence(name, max(means) - min(means), p, p, paired)
 
 
-def _exchanged(by_env: Sequence[NDArray[np.float64]], *, paired: bool) -> float:
+def _exchanged(by_env: Sequence[NDArray[np.float64]], *, paired: bool, even: bool) -> float:
     whole = np.concatenate(by_env)
     if np.ptp(whole) == 0 or (paired and (len(whole) == len(by_env) or np.ptp(by_env, axis=0).max() == 0)):
         return 1.0
@@ -123,7 +130,12 @@ def _exchanged(by_env: Sequence[NDArray[np.float64]], *, paired: bool) -> float:
     values = np.split(in_proportion(whole - whole.mean()), np.cumsum([len(one) for one in by_env])[:-1])
 
     def spread(*groups: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-        return np.asarray(APART + sum(one.shape[axis] * one.mean(axis=axis) ** 2 for one in groups))
+        means = np.array([one.mean(axis=axis) for one in groups])
+        weights = np.array([np.full(means.shape[1:], one.shape[axis]) for one in groups])
+        if not even:  # as Welch's t, of any number of groups
+            weights = 1 / (LEAST + np.array([one.var(axis=axis, ddof=1) for one in groups]) / weights)
+        centre = (weights * means).sum(axis=0) / weights.sum(axis=0)
+        return np.asarray(APART + (weights * (means - centre) ** 2).sum(axis=0))
 
     tested = stats.permutation_test(
         values,
