@@ -324,7 +324,7 @@ class RecordingWriter:
             return
         with postponed():
             try:
-                if isinstance(error, DataLost):
+                if isinstance(error, DataLost) and self._sink.stopped:  # and not rows that never came to the file
                     self._sink.abandon()
                     return
                 self._states.flush()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, judged, not_compared
-from gpusimbench.evaluator.episodes.comparison import difference_of, pairs_of
+from gpusimbench.evaluator.episodes.comparison import difference_of, evenly_repeated, pairs_of
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS
 from gpusimbench.evaluator.episodes.side import Episodes, choose, read_side
 from gpusimbench.evaluator.episodes.success import At
@@ -50,9 +50,9 @@ def compare_episodes(base: Runs, head: Runs, settings: Settings) -> Sequence[tup
     except NothingComparable as error:
         return [(Axis.EPISODES, not_compared(Axis.EPISODES, RETURN, _TITLES[RETURN], str(error)))]
     n = (len(base), len(head))
-    together = pairs_of(other, one).formed
+    together, even = pairs_of(other, one).formed, evenly_repeated(one, other)
     return [
-        (_AXES[name], _compared(name, one.by_cluster(before), other.by_cluster(after), n, settings, together=together))
+        (_AXES[name], _compared(name, one.by_cluster(before), other.by_cluster(after), n, settings, together, even))
         for name, before, after in _quantities(one, other)
     ]
 
@@ -72,7 +72,7 @@ def _quantities(one: Episodes, other: Episodes) -> list[tuple[str, NDArray[Any],
 
 
 def _compared(
-    name: str, base: Values, head: Values, n: tuple[int, int], settings: Settings, *, together: bool
+    name: str, base: Values, head: Values, n: tuple[int, int], settings: Settings, together: bool, even: bool
 ) -> Finding | Question:
     """A verdict that needs no statistics, or a question."""
     how = "pairs of one environment and number, which began alike" if together else "not paired"
@@ -93,7 +93,7 @@ def _compared(
             large = abs(after - before) > settings.threshold * abs(before)
             change = judged(finding.direction, rises=after > before) if large else Change.SMALL
             return replace(finding, change=change, note="all episodes of a side have this value")
-    return _Asked(finding, base, head, settings, together)
+    return _Asked(finding, base, head, settings, together, even)
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,7 @@ class _Asked:
     head: Values
     settings: Settings
     together: bool
+    even: bool
 
     @property
     def least_p(self) -> float:
@@ -116,7 +117,7 @@ class _Asked:
     def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
         """See Question; what is as large as matters is by the ends of the interval of the difference."""
         name, unit = self.finding.name, self.finding.unit
-        found = difference_of(name, unit, self.head, self.base, together=self.together)
+        found = difference_of(name, unit, self.head, self.base, together=self.together, even=self.even)
         ends = known(found.ci95)
         least = self.settings.threshold * abs(float(self.base.mean()))
         tested = replace(

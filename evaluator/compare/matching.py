@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 from gpusimbench.evaluator.compare.seeds import without_seeds
@@ -55,11 +56,13 @@ def match(base: Groups, head: Groups, across: Collection[str] = ()) -> Matching:
     drivers, environment variables and options that nobody asked for may differ, since they are what is compared. Then
     those on other machines. A group for which several could be the partner has none. Seeds of tasks may differ.
 
-    across  names of options, or of ACROSS, that may differ too
+    across  names of options, or of ACROSS, that may differ too, in pairs of what is left where they do not
     """
     left, right = list(base), list(head)
     found: list[tuple[Group[Run], Group[Run]]] = []
-    for rule in (lambda g: g.key, lambda g: asked_of(g, across), lambda g: anywhere(g, across)):
+    rules: list[Callable[[Group[Run]], GroupKey]] = [lambda g: g.key]
+    rules += [partial(of, across=names) for of in (asked_of, anywhere) for names in ((), across)]
+    for rule in rules:
         found += _unique(left, right, rule, across)
     found.sort(key=lambda pair: list(base).index(pair[0]))
     given = options_given(r for g in (*base, *head) for r in g.recordings)

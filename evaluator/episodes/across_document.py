@@ -34,9 +34,7 @@ def across_document(found: Across) -> Document:
             (found.key, "files", "envs", *(name for of in one.quantities for name in (of.name, "95 %"))),
             [_row(setting) for setting in found.settings],
         ),
-        Text(
-            f"p: {_tests(found)}, by exchanging environments between values of {found.key}. 95 %: of each value alone."
-        ),
+        Text(f"p: {_tests(found)}, by exchanging {_units(found)} of {found.key}. 95 %: of each value alone."),
     ]
     if told := list(_told(found)):
         blocks.append(items(*told, tone=Tone.WARNING))
@@ -69,6 +67,11 @@ def _verdict(of: Dependence, found: Across) -> str:
 
 def _tests(found: Across) -> str:
     return ", ".join(f"{of.name} {of.p_value:.2g}, by Holm {of.adjusted_p:.2g}" for of in found.quantities)
+
+
+def _units(found: Across) -> str:
+    alike = all(of.paired for of in found.quantities)
+    return "episodes of environments that began alike between values" if alike else "environments between values"
 
 
 def _row(setting: Setting) -> list[Cell | str]:

@@ -22,6 +22,8 @@ from gpusimbench.schemas.vector import NO_SEED, RESET_KEYS, RESET_SEEDS
 Starts = Mapping[str, NDArray[np.generic]]
 """First observations of the environments of a recording, [env, width] by the name of the array."""
 
+_SEEDED_BY_NUMBER = "gymnasium"
+
 _RELATIVE, _ABSOLUTE = 1e-3, 1e-5
 """Starts that are further apart are not one start: an engine that does not repeat itself rounds a reset otherwise."""
 
@@ -41,7 +43,8 @@ def clusters_of(recordings: Sequence[Recording], starts: Sequence[Starts]) -> ND
     * their recordings have one seed and the same number of environments, or
     * neither recording has a seed, and all environments of both begin alike, but not all of one recording;
 
-    or if seed plus number, by which Gymnasium seeds environments, and every bit of the start are the same.
+    or if both are recordings of Gymnasium, which seeds environments by seed plus number, and this sum and every bit of
+    the start are the same.
     """
     counts = [recording.configuration.n_env for recording in recordings]
     first = np.cumsum([0, *counts])
@@ -60,7 +63,7 @@ def clusters_of(recordings: Sequence[Recording], starts: Sequence[Starts]) -> ND
                 envs[fresh] = cluster[first[other] : first[other + 1]][fresh]
         if (envs == alone).any():
             earlier.append(file)
-        if seeded and _given(recording) == (None, None):
+        if seeded and recording.configuration.simulator == _SEEDED_BY_NUMBER and _given(recording) == (None, None):
             for number, env in enumerate(alone.tolist()):
                 bits = b"".join(seen[name][number].tobytes() for name in sorted(seen))
                 twin = cluster[by_seed.setdefault((recording.configuration.seed + number, bits), env)]
@@ -83,13 +86,20 @@ def _near(some: Starts, others: Starts) -> NDArray[np.bool_]:
     """Which environments of two recordings begin alike, but for rounding."""
     if some.keys() != others.keys() or any(some[name].shape != others[name].shape for name in some):
         return np.zeros(len(next(iter(some.values()))), dtype=np.bool_)
-    near: list[NDArray[np.bool_]] = [
-        np.isclose(a, b, rtol=_RELATIVE, atol=_ABSOLUTE, equal_nan=True) if a.dtype.kind == "f" else np.equal(a, b)
-        for a, b in ((some[name], others[name]) for name in some)
-    ]
+    near = [_close(some[name], others[name]) for name in some]
     return np.asarray(np.concatenate(near, axis=1).all(axis=1))
 
 
 def _several(seen: Starts) -> bool:
-    """Whether environments of a recording begin otherwise than each other, so that starts tell them apart."""
-    return any((array != array[:1]).any() for array in seen.values())
+    """Whether environments of a recording begin otherwise than each other, so that starts tell them apart.
+
+    What counts as one start in two recordings counts as one here, too.
+    """
+    return not all(_close(array, array[:1]).all() for array in seen.values())
+
+
+def _close(a: NDArray[np.generic], b: NDArray[np.generic]) -> NDArray[np.bool_]:
+    if a.dtype.kind != "f":
+        return np.asarray(np.equal(a, b))
+    with np.errstate(over="ignore"):  # large numbers of either sign are infinitely far apart
+        return np.asarray(np.isclose(a, b, rtol=_RELATIVE, atol=_ABSOLUTE, equal_nan=True))

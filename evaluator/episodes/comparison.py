@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, error_of_mean, interval_of, shown
 from gpusimbench.evaluator.episodes.side import Episodes
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.statistics.cases import DRAWS, FEWEST, PERMUTATIONS, paired
+from gpusimbench.evaluator.statistics.cases import APART, DRAWS, FEWEST, PERMUTATIONS, in_proportion, paired
 from gpusimbench.evaluator.statistics.families import holm
 from gpusimbench.evaluator.statistics.rates import mcnemar
 
 LEVEL = 0.05
 
 _SEED = 0
+
+LEAST = 1e-6
+"""Variance of a mean at least, of values whose largest is 1: means of equal values are not infinitely far apart."""
 
 
 @dataclass(frozen=True)
@@ -82,13 +85,13 @@ class Comparison:
 
 def compare(first: Episodes, second: Episodes) -> Comparison:
     """Compare two policies by as many episodes per environment."""
-    pairs = pairs_of(first, second)
+    pairs, even = pairs_of(first, second), evenly_repeated(first, second)
     differences = []
     if first.success is not None and second.success is not None:
         flags = (first.by_cluster(first.success), second.by_cluster(second.success))
-        differences.append(_of_success(*flags, together=pairs.formed))
+        differences.append(_of_success(*flags, together=pairs.formed, even=even))
     returns = (first.by_cluster(first.returns), second.by_cluster(second.returns))
-    differences.append(difference_of(RETURN, "unknown", *returns, together=pairs.formed))
+    differences.append(difference_of(RETURN, "unknown", *returns, together=pairs.formed, even=even))
     adjusted = holm([one.p_value for one in differences])
     return Comparison(
         pairs, tuple(replace(one, adjusted_p=p) for one, p in zip(differences, adjusted, strict=True))
@@ -111,8 +114,8 @@ def _added(side: Episodes) -> list[int]:
     return [number for number in np.diff([0, *known]).tolist() if number]
 
 
-def _of_success(first: NDArray[np.float64], second: NDArray[np.float64], *, together: bool) -> Difference:
-    found = difference_of(SUCCESS, "1", first, second, together=together)
+def _of_success(first: NDArray[np.float64], second: NDArray[np.float64], *, together: bool, even: bool) -> Difference:
+    found = difference_of(SUCCESS, "1", first, second, together=together, even=even)
     if not together:
         return found
     if any((side % 1).any() for side in (first, second)):
@@ -125,13 +128,14 @@ def _of_success(first: NDArray[np.float64], second: NDArray[np.float64], *, toge
 
 
 def difference_of(
-    name: str, unit: str, first: NDArray[np.float64], second: NDArray[np.float64], *, together: bool
+    name: str, unit: str, first: NDArray[np.float64], second: NDArray[np.float64], *, together: bool, even: bool = True
 ) -> Difference:
     """The mean of the first policy minus that of the second, with environments as units.
 
     unit           of the values
     first, second  values of episodes, shape [env, episode]
     together       whether the episodes of one place are pairs
+    even           whether all values are means over as many repeats, so that environments can be exchanged as they are
     """
     discordant = Missing("episodes are not paired" if name == SUCCESS else "of success alone")
     one, other = first.mean(axis=1), second.mean(axis=1)
@@ -141,11 +145,11 @@ def difference_of(
             name, unit, found.mean, interval_of(found.ci95, error), found.p_value, found.p_value,
             "signs of differences exchanged by environment", discordant, shown(error),
         )  # fmt: skip
-    p = _exchanged(one, other)
+    p = _exchanged(one, other, even=even)
     error = _combined(error_of_mean(first), error_of_mean(second))
     return Difference(
         name, unit, float(one.mean() - other.mean()), interval_of(_unpaired_interval(one, other), error), p, p,
-        "environments exchanged between policies", discordant, shown(error),
+        f"environments exchanged between policies{'' if even else ', Welch t'}", discordant, shown(error),
     )  # fmt: skip
 
 
@@ -155,8 +159,17 @@ def _combined(first: float | Missing, second: float | Missing) -> float | Missin
     return float(np.hypot(first, second))
 
 
-def _exchanged(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """p-value of the difference of two means, by a permutation test with environments as units."""
+def evenly_repeated(*groups: Episodes) -> bool:
+    """Whether all environments of all groups have as many repeats."""
+    return len(set(np.concatenate([one.repeats for one in groups]).tolist())) == 1
+
+
+def _exchanged(one: NDArray[np.float64], other: NDArray[np.float64], *, even: bool) -> float:
+    """p-value of the difference of two means, by a permutation test with environments as units.
+
+    even  see difference_of; else the size of the difference is over its standard error, since a policy whose values are
+          means over fewer repeats spreads more (Janssen 1997, studentized permutation tests)
+    """
     from scipy import stats  # slow to load, and gsb-compare loads this module for all recordings
 
     together = np.concatenate([one, other])
@@ -165,10 +178,18 @@ def _exchanged(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     if min(len(one), len(other)) == 1:  # SciPy asks for two; the difference grows with the value that is alone
         alone = one[0] if len(one) == 1 else other[0]
         return float(min(1.0, 2 * min((together <= alone).mean(), (together >= alone).mean())))
+
+    def difference(a: NDArray[np.float64], b: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+        far = a.mean(axis=axis) - b.mean(axis=axis)
+        if not even:
+            far = np.abs(far) / np.sqrt(LEAST + sum(side.var(axis=axis, ddof=1) / side.shape[axis] for side in (a, b)))
+        return np.asarray(APART + far)
+
     tested = stats.permutation_test(
-        (one, other),
-        lambda a, b, axis: a.mean(axis=axis) - b.mean(axis=axis),
+        np.split(in_proportion(together - together.mean()), [len(one)]),
+        difference,
         permutation_type="independent",
+        alternative="two-sided" if even else "greater",
         n_resamples=PERMUTATIONS,
         vectorized=True,
         batch=max(1, 10_000_000 // (len(one) + len(other))),

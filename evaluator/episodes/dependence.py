@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from gpusimbench.evaluator.episodes.comparison import LEAST, evenly_repeated
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, Outcome
-from gpusimbench.evaluator.episodes.side import Episodes
+from gpusimbench.evaluator.episodes.side import Episodes, with_common_clusters
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.statistics.cases import PERMUTATIONS
+from gpusimbench.evaluator.statistics.cases import APART, PERMUTATIONS, in_proportion
 from gpusimbench.evaluator.statistics.families import holm
 from gpusimbench.schemas.errors import UsageError
 
@@ -50,14 +51,17 @@ class Dependence:
     name        "success" or "return"
     largest     difference of the means of two values, the highest minus the lowest
     p_value     that all values give the same: a permutation test with environments as units, of the sum over values of
-                environments times the squared distance of their mean from the mean of all
+                environments times the squared distance of their mean from the mean of all; over the variance of their
+                values, where some values were recorded more often than others
     adjusted_p  by Holm, over the quantities
+    paired      whether the same environments began alike under all values: each is exchanged with its repeats alone
     """
 
     name: str
     largest: float
     p_value: float
     adjusted_p: float
+    paired: bool
 
     @property
     def depends(self) -> bool:
@@ -92,35 +96,51 @@ def grouped(recordings: Sequence[Recording], key: str) -> dict[Any, list[Recordi
 def dependences(groups: Sequence[Episodes]) -> tuple[Dependence, ...]:
     """Whether quantities depend on the group; all groups have as many episodes per environment.
 
-    Environments are taken to be independent. Where several groups began with the same seeds, their episodes began
-    alike: then the groups are nearer to each other than by chance, and p-values too large rather than too small.
+    Environments are taken to be independent, but for those that repeat each other; see clusters.py. Where all groups
+    have the same environments, each is exchanged with its repeats alone. Where only some are in several groups, these
+    make the groups nearer to each other than by chance, and p-values too large rather than too small.
     """
-    flags = [one.by_cluster(one.success).mean(axis=1) for one in groups if one.success is not None]
-    found = [_dependence(SUCCESS, flags)] if len(flags) == len(groups) else []
-    found.append(_dependence(RETURN, [one.by_cluster(one.returns).mean(axis=1) for one in groups]))
+    common = with_common_clusters(groups)
+    clusters = [np.unique(one.clusters) for one in common]
+    paired = all(np.array_equal(one, clusters[0]) for one in clusters)
+    even = paired or evenly_repeated(*common)
+    flags = [one.by_cluster(one.success).mean(axis=1) for one in common if one.success is not None]
+    found = [_dependence(SUCCESS, flags, paired=paired, even=even)] if len(flags) == len(groups) else []
+    returns = [one.by_cluster(one.returns).mean(axis=1) for one in common]
+    found.append(_dependence(RETURN, returns, paired=paired, even=even))
     adjusted = holm([one.p_value for one in found])
     return tuple(replace(one, adjusted_p=p) for one, p in zip(found, adjusted, strict=True))
 
 
-def _dependence(name: str, by_env: Sequence[NDArray[np.float64]]) -> Dependence:
+def _dependence(
+    name: str, by_env: Sequence[NDArray[np.float64]], *, paired: bool = False, even: bool = True
+) -> Dependence:
+    # paired  values of one place are of environments that began alike
+    # even    all values are means over as many repeats; else groups spread otherwise, and their variances count
     means = [float(one.mean()) for one in by_env]
-    p = _exchanged(by_env)
-    return Dependence(name, max(means) - min(means), p, p)
+    p = _exchanged(by_env, paired=paired, even=even or min(map(len, by_env)) < 2)
+    return Dependence(name, max(means) - min(means), p, p, paired)
 
 
-def _exchanged(by_env: Sequence[NDArray[np.float64]]) -> float:
+def _exchanged(by_env: Sequence[NDArray[np.float64]], *, paired: bool, even: bool) -> float:
     whole = np.concatenate(by_env)
-    if np.ptp(whole) == 0:
+    if np.ptp(whole) == 0 or (paired and (len(whole) == len(by_env) or np.ptp(by_env, axis=0).max() == 0)):
         return 1.0
-    centre = whole.mean()
+    # about the mean, which every arrangement has
+    values = np.split(in_proportion(whole - whole.mean()), np.cumsum([len(one) for one in by_env])[:-1])
 
     def spread(*groups: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-        return np.asarray(sum(one.shape[axis] * (one.mean(axis=axis) - centre) ** 2 for one in groups))
+        means = np.array([one.mean(axis=axis) for one in groups])
+        weights = np.array([np.full(means.shape[1:], one.shape[axis]) for one in groups])
+        if not even:  # as Welch's t, of any number of groups
+            weights = 1 / (LEAST + np.array([one.var(axis=axis, ddof=1) for one in groups]) / weights)
+        centre = (weights * means).sum(axis=0) / weights.sum(axis=0)
+        return np.asarray(APART + (weights * (means - centre) ** 2).sum(axis=0))
 
     tested = stats.permutation_test(
-        tuple(by_env),
+        values,
         spread,
-        permutation_type="independent",
+        permutation_type="samples" if paired else "independent",
         alternative="greater",
         n_resamples=PERMUTATIONS,
         vectorized=True,

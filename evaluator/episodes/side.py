@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.episodes.clusters import clusters_of
+from gpusimbench.evaluator.episodes.clusters import Starts, clusters_of
 from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.read.episode_table import (
     EpisodeTable,
@@ -72,6 +72,7 @@ class Episodes:
     terminated whether they ended so; the others were truncated
     starts     the first observation of each as bytes
     clusters   of each environment, [env]: environments that repeat each other have one number; see clusters.py
+    began      first observations of the first episodes, a mapping a recording
     """
 
     side: Side
@@ -82,19 +83,25 @@ class Episodes:
     success: NDArray[np.bool_] | None
     starts: NDArray[Any]
     clusters: NDArray[np.int64]
+    began: tuple[Starts, ...]
 
     @property
     def n_cluster(self) -> int:
         """Environments without repeats."""
-        return int(self.clusters.max()) + 1
+        return len(np.unique(self.clusters))
+
+    @property
+    def repeats(self) -> NDArray[np.int64]:
+        """Environments of each cluster, [cluster]."""
+        return np.asarray(np.unique(self.clusters, return_counts=True)[1])
 
     def by_cluster(self, values: NDArray[Any]) -> NDArray[np.float64]:
         """Means over the environments of each cluster, [cluster, ...], from values [env, ...]."""
         if self.n_cluster == self.n_env:
             return values.astype(np.float64)
         total = np.zeros((self.n_cluster, *values.shape[1:]))
-        np.add.at(total, self.clusters, values)
-        size = np.bincount(self.clusters).reshape(-1, *(1 for _ in values.shape[1:]))
+        np.add.at(total, np.unique(self.clusters, return_inverse=True)[1], values)
+        size = self.repeats.reshape(-1, *(1 for _ in values.shape[1:]))
         found: NDArray[np.float64] = total / size
         return found
 
@@ -212,6 +219,7 @@ def choose(side: Side, per_env: int, success: str | None, at: At) -> Episodes:
         of_all = zip(side.recordings, side.tables, rows, strict=True)
         flags = np.concatenate([successes(one, table, at_rows, success, at) for one, table, at_rows in of_all])
     seen = [_first_seen(*of) for of in zip(side.recordings, side.tables, rows, strict=True)]
+    began = tuple({name: array[::per_env] for name, array in one.items()} for one in seen)
     return Episodes(
         side=side,
         rows=rows,
@@ -220,8 +228,17 @@ def choose(side: Side, per_env: int, success: str | None, at: At) -> Episodes:
         terminated=column(lambda table: table.terminated),
         success=flags,
         starts=np.concatenate([_starts(one, at.shape) for one, at in zip(seen, rows, strict=True)]),
-        clusters=clusters_of(side.recordings, [{k: v[::per_env] for k, v in one.items()} for one in seen]),
+        clusters=clusters_of(side.recordings, began),
+        began=began,
     )
+
+
+def with_common_clusters(groups: Sequence[Episodes]) -> list[Episodes]:
+    """The same episodes, with numbers of clusters that hold in all groups: one may repeat environments of another."""
+    recordings = [recording for one in groups for recording in one.side.recordings]
+    found = clusters_of(recordings, [began for one in groups for began in one.began])
+    ends = np.cumsum([one.n_env for one in groups])
+    return [replace(one, clusters=part) for one, part in zip(groups, np.split(found, ends[:-1]), strict=True)]
 
 
 def _first_seen(recording: Recording, table: EpisodeTable, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:

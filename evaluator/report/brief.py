@@ -29,6 +29,7 @@ from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
+from gpusimbench.evaluator.runs.groups import shown_status
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
 from gpusimbench.schemas.text import cut, few, first
@@ -36,7 +37,7 @@ from gpusimbench.schemas.text import cut, few, first
 _SHORT = "* "
 """Before a throughput that was timed for less than the protocol asks; numbers stay in line."""
 
-_NOTES, _EPISODES, _QUESTIONS, _PASSED, _LABEL = 2, 8, 3, 4, 120
+_NOTES, _EPISODES, _QUESTIONS, _PASSED, _LABEL, _REASON = 2, 8, 3, 4, 120, 240
 _PLACE = ("scene", "device")
 """What names a table where there are several."""
 
@@ -77,6 +78,8 @@ def _verdict(evaluation: Evaluation) -> str:
 def _why_none(results: Sequence[GroupResult]) -> str:
     """Why it is not known of any group whether it repeats itself."""
     several = [r for r in results if len(r.group.complete) > 1]
+    if not any(r.group.complete for r in results):
+        return "no run is complete"
     why = dict.fromkeys(identical(r.metrics[DISTINCT_RUNS.name]).why_not for r in several)
     return f"runs were not compared: {'; '.join(why)}" if several else "no group has several runs to compare"
 
@@ -152,6 +155,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
         yield shown.without_empty_columns() if several else shown
     if said := _behind_a_yes(results):
         yield Text(said, Tone.QUIET)
+    yield from (Text(said, Tone.BAD) for said in first(list(_incomplete(results)), _NOTES, " with such runs"))
     told = [f"{result.label}: episodes: {said}" for result in results if (said := _episodes(result))]
     yield from map(Text, first(told, _EPISODES, " groups with episodes"))
     for result in results:
@@ -168,6 +172,15 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for family in evaluation.convergences:
         yield Text(sentence(family))
     yield from (Text(_fastest(one, results)) for one in fastest(results) if one.first or one.faster)
+
+
+def _incomplete(results: Sequence[GroupResult]) -> Iterator[str]:
+    """Of each group with runs from which nothing is computed, how many these are and what ended the first."""
+    for result in results:
+        runs = result.group.recordings
+        if ended := [run for run in runs if run.status != "complete"]:
+            of_all = f"{len(ended)} of {plural(len(runs), 'run')} not complete"
+            yield cut(f"{result.label}: {of_all}: {shown_status(ended[0])}: {ended[0].reason}", _REASON)
 
 
 def _behind_a_yes(results: Sequence[GroupResult]) -> str:

@@ -38,7 +38,8 @@ class Recovered:
     streams      in order of appearance
     attachments  their names
     lost_bytes   at the end of the source, that belong to no whole record or lie behind damage
-    damage       what ended the reading before the file's end; empty where it was cut in the middle of a record
+    damage       what ended the reading before the file's end, and what to do; empty where it was cut in the middle of a
+                 record
     """
 
     path: Path
@@ -70,13 +71,14 @@ def recover(source: Path, path: Path) -> Recovered:
                 copier.add(record)
                 end = end_of_it
         except DamagedRecording as error:
-            damage = str(error)
+            damage = error.advised
         copier.finish()
         try:
             made = Recording(target.path)
             verify(made)
         except RecordingError as error:
-            raise DamagedRecording(str(error).replace(str(target.path), str(source))) from None
+            kind = type(error) if isinstance(error, DamagedRecording) else DamagedRecording
+            raise kind(str(error).replace(str(target.path), str(source))) from None
         found = Container(target.path)
         streams, attachments = _streams(made, found), tuple(found.attachment_names())
     return Recovered(path, made.status, made.reason, streams, attachments, source.stat().st_size - end, damage)

@@ -243,6 +243,11 @@ class Sink:
                 raise lost from error
             raise
 
+    @property
+    def stopped(self) -> bool:
+        """Whether the file takes no more."""
+        return bool(self._lost)
+
     def abandon(self) -> None:
         """Close the file as it is: without an end record and under its .partial name."""
         self._end_writeback()

@@ -528,6 +528,24 @@ def test_an_edited_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert said in document["notes"]
 
 
+def test_several_edited_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compare each scene with its own edited version, though any scene may be compared with any other."""
+
+    def edited(name: str, record: dict[str, Any]) -> None:
+        if name == SIMULATION:
+            record["scene"]["sha256"] = "ed" * 32
+
+    sides = (tmp_path / "base", tmp_path / "head")
+    for side, changes in zip(sides, ({}, {"change": edited}), strict=True):
+        side.mkdir()
+        for run, scene in enumerate(("inclined-collision", "free-fall")):
+            write_recording(side, grid(2), run=run, scene=scene, elapsed_s=None, **changes)
+    _, document = compared(*sides, "--across", "scene", capsys=capsys)
+    assert not document["without_partner"]
+    assert [len(one["differs"]) for one in document["compared"]] == [1, 1]
+    assert all("description of the scene" in one["differs"][0] for one in document["compared"])
+
+
 def test_versions_are_what_is_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Pair groups whose environment variables and options in force differ, and say what does."""
     head = timed(environment={"XLA_FLAGS": "--new"}, switches={"precision": "high"})

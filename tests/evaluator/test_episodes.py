@@ -14,15 +14,17 @@ from scipy import stats
 
 from gpusimbench import NothingComparable, open_recording, wrap
 from gpusimbench.evaluator.cli.episodes import main as episodes
-from gpusimbench.evaluator.episodes import dependence
+from gpusimbench.evaluator.episodes import clusters, dependence
 from gpusimbench.evaluator.episodes.comparison import compare, difference_of
 from gpusimbench.evaluator.episodes.document import warnings
 from gpusimbench.evaluator.episodes.outcome import FinishOrder, Outcome, outcome
 from gpusimbench.evaluator.episodes.profile import profiles
-from gpusimbench.evaluator.episodes.side import Choice, Episodes, choose, read_side
+from gpusimbench.evaluator.episodes.side import Choice, Episodes, choose, read_side, with_common_clusters
 from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.statistics.rates import mcnemar, rate_interval, wilson
+from gpusimbench.recorder.vector.device.log import About, HostLog
+from gpusimbench.recorder.vector.modes import Mode
 from tests.conftest import call, made_once
 from tests.scripts import ROOT, example, script
 
@@ -448,9 +450,16 @@ class Nearly(search.Search):  # type: ignore[misc,name-defined]
         return seen, reward * (1 + 1e-6 * self.noise.normal()), *rest
 
 
-def nearly(path: Path, seed: int | None, n_env: int = 8) -> Path:
+class Alike(Nearly):
+    """The same, but all environments begin alike, but for rounding."""
+
+    def _seen(self) -> NDArray[np.float32]:
+        return np.array([7 * (1 + 1e-6 * self.noise.normal()), self.tries], dtype=np.float32)
+
+
+def nearly(path: Path, seed: int | None, n_env: int = 8, task: type[Nearly] = Nearly) -> Path:
     """A run of the policy "near" that no other run repeats bit for bit."""
-    envs = wrap(gymnasium.vector.SyncVectorEnv([Nearly] * n_env), path, steps=26, infos=("success",))
+    envs = wrap(gymnasium.vector.SyncVectorEnv([task] * n_env), path, steps=26, infos=("success",))
     observation, _ = envs.reset(seed=seed)
     for _ in range(26):
         observation, *_ = envs.step(search.near(observation))
@@ -504,21 +513,126 @@ def search_of_other_numbers(path: Path) -> Path:
 def test_what_is_a_repeat(tmp_path: Path) -> None:
     """Join environments that have one seed and nearly one start, of overlapping seeds too; no others."""
 
-    def clusters(*paths: Path) -> list[int]:
+    def found(*paths: Path) -> list[int]:
         return episodes_of(*paths, per_env=1).clusters.tolist()
 
     first, again = (nearly(tmp_path / f"{run}.mcap", 5, 3) for run in "ab")
-    assert clusters(first, again, nearly(tmp_path / "c.mcap", 50, 3)) == [0, 1, 2, 0, 1, 2, 3, 4, 5]
+    assert found(first, again, nearly(tmp_path / "c.mcap", 50, 3)) == [0, 1, 2, 0, 1, 2, 3, 4, 5]
     # seed + number seeds an environment of Gymnasium
     runs = [recording_of("near", 4, 1, seed) for seed in (20, 22)]
-    assert clusters(*runs) == [0, 1, 2, 3, 2, 3, 4, 5]
-    assert clusters(runs[0], recording_of("near", 2, 1, 20)) == [0, 1, 2, 3, 0, 1]
-    assert clusters(*(nearly(tmp_path / f"none-{run}.mcap", None, 3) for run in range(2))) == [0, 1, 2, 3, 4, 5]
+    assert found(*runs) == [0, 1, 2, 3, 2, 3, 4, 5]
+    assert found(runs[0], recording_of("near", 2, 1, 20)) == [0, 1, 2, 3, 0, 1]
+    assert found(*(nearly(tmp_path / f"none-{run}.mcap", None, 3) for run in range(2))) == [0, 1, 2, 3, 4, 5]
+    # nearly equal starts of all environments tell none apart
+    assert found(*(nearly(tmp_path / f"alike-{run}.mcap", None, 3, Alike) for run in range(2))) == [0, 1, 2, 3, 4, 5]
     fixed = [flagged(tmp_path / f"fixed-{run}.mcap", {}, {}, {}) for run in range(2)]
     assert choose(read_side(list(map(open_recording, fixed))), 1, None, At.LAST).clusters.tolist() == [0, 1, 0, 1]
     # a seed that the task ignores makes no repeats
     told = [open_recording(search_of_other_numbers(tmp_path / f"deaf-{run}.mcap")) for run in range(2)]
     assert choose(read_side(told), 1, None, At.LAST).clusters.tolist() == [0, 1, 2, 3]
+
+
+def constant(path: Path, simulator: str, seed: int) -> Path:
+    """A recording of two environments that always begin alike, of another simulator than Gymnasium maybe."""
+    about = About(
+        simulator=simulator, version="1", scene="constant", device="cpu", mode=Mode.DISABLED, hidden=False, options={},
+        seed=seed,
+    )  # fmt: skip
+    rows = {
+        "observation": np.zeros((2, 2, 1)),
+        "action": np.zeros((2, 2, 1)),
+        "reward": np.zeros((2, 2)),
+        "terminated": np.array([[False] * 2, [True] * 2]),
+        "truncated": np.zeros((2, 2), dtype=np.bool_),
+    }
+    log = HostLog(path, steps=1, dt=0.1, about=about)
+    log.append(rows, {})
+    log.end(None)
+    return path
+
+
+@pytest.mark.parametrize(("simulator", "joined"), [("gymnasium", [0, 1, 1, 2]), ("maniskill", [0, 1, 2, 3])])
+def test_seeds_of_other_simulators_do_not_overlap(tmp_path: Path, simulator: str, joined: list[int]) -> None:
+    """Take seed plus number for the seed of an environment in recordings of Gymnasium alone."""
+    paths = [constant(tmp_path / f"{seed}.mcap", simulator, seed) for seed in (5, 6)]
+    assert choose(read_side(list(map(open_recording, paths))), 1, None, At.LAST).clusters.tolist() == joined
+
+
+def test_starts_of_any_size() -> None:
+    """Compare starts that are zero, infinite, no numbers, or so large that their difference is infinite."""
+    large = np.array([[3e38], [np.inf], [np.nan], [0.0], [3e38]], np.float32)
+    other = np.array([[-3e38], [np.inf], [np.nan], [1e-6], [3e38]], np.float32)
+    assert clusters._near({"observation": large}, {"observation": other}).tolist() == [False, True, True, True, True]
+    assert not clusters._several({"observation": np.full((3, 2), np.nan)})
+
+
+@pytest.mark.parametrize("step", [1.0, 0.2, 1 / 3])
+def test_ties_count_whatever_the_returns_are(step: float) -> None:
+    """Give returns of any size the p-values of the whole numbers that they stand for, whose sums are exact."""
+    one, other = np.array([0, 1, 1, 0, 2.0]), np.array([1, 1, 0, 2, 2.0])
+
+    def p_values(scale: float, shift: float) -> list[float]:
+        first, second = scale * one + shift, scale * other + shift
+        paired = [difference_of("", "", first[:, None], second[:, None], together=on).p_value for on in (False, True)]
+        return [*paired, *(dependence._dependence("", [first, second], paired=on).p_value for on in (False, True))]
+
+    whole = p_values(1.0, 0.0)
+    assert min(whole) < 0.8
+    for shift in (0.1, 200.1, 1e4 + 0.1, 1e6 + 0.1):
+        assert p_values(step, shift) == pytest.approx(whole, abs=1e-9)
+
+
+def test_uneven_repeats_are_no_difference() -> None:
+    """Raise few false alarms where one policy was repeated ten times and the other, of few environments, was not."""
+    rng = np.random.default_rng(0)
+
+    def alarms(even: bool) -> list[int]:
+        values = [(rng.normal(size=64) / 10**0.5, rng.normal(size=8)) for _ in range(12)]
+        of_two = [difference_of("", "", a[:, None], b[:, None], together=False, even=even) for a, b in values]
+        of_groups = [dependence._dependence("", pair, even=even) for pair in values]
+        return [sum(one.p_value <= 0.05 for one in found) for found in (of_two, of_groups)]
+
+    assert min(alarms(even=True)) >= 3
+    assert max(alarms(even=False)) <= 2
+
+
+def test_uneven_repeats_are_told(tmp_path: Path) -> None:
+    """Compare by Welch's t if one policy was repeated more often; find no difference of one policy then."""
+    often = [nearly(tmp_path / f"{run}.mcap", 600) for run in range(3)]
+    once = nearly(tmp_path / "once.mcap", 800)
+    returns = compare(episodes_of(*often, per_env=2), episodes_of(once, per_env=2)).differences[1]
+    assert returns.test == "environments exchanged between policies, Welch t"
+    assert returns.p_value > 0.05
+    assert "Welch" not in compare(episodes_of(often[0], per_env=2), episodes_of(once, per_env=2)).differences[1].test
+
+
+def test_groups_of_the_same_environments_are_paired() -> None:
+    """Exchange environments that began alike under all values with each other alone, in whatever recordings."""
+    small = [recording_of("near", 4, 1, seed) for seed in range(0, 16, 4)]
+    whole, other = episodes_of(recording_of("near", 16, 1), per_env=1), recording_of("sweep", 16, 1)
+    told = dependence.dependences([episodes_of(*small, per_env=1), whole])
+    assert [(one.paired, one.p_value) for one in told] == [(True, 1.0), (True, 1.0)]  # the same episodes
+    assert [one.clusters.tolist() for one in with_common_clusters([episodes_of(*small, per_env=1), whole])] == [
+        list(range(16))
+    ] * 2
+    of_two = dependence.dependences([episodes_of(*small, per_env=1), episodes_of(other, per_env=1)])
+    assert all(one.paired for one in of_two)
+    some = dependence.dependences([episodes_of(*small[:2], per_env=1), whole])
+    assert not any(one.paired for one in some)
+
+
+def test_pairs_show_what_their_starts_hide() -> None:
+    """Show a small difference of groups whose environments began alike, and keep the level there."""
+    rng = np.random.default_rng(0)
+
+    def p_value(difference: float, *, paired: bool) -> float:
+        start = rng.normal(size=12)
+        groups = [start + 0.3 * rng.normal(size=12) + shift for shift in (0.0, difference)]
+        return dependence._dependence("", groups, paired=paired).p_value
+
+    assert sum(p_value(0.5, paired=True) <= 0.05 for _ in range(8)) >= 6
+    assert sum(p_value(0.5, paired=False) <= 0.05 for _ in range(8)) <= 2
+    assert sum(p_value(0.0, paired=True) <= 0.05 for _ in range(20)) <= 4
 
 
 def test_shares_of_repeats_have_the_interval_of_whole_numbers() -> None:

@@ -254,3 +254,22 @@ def test_a_group_alone_takes_fifteen_lines_at_most(tmp_path: Path, runs: int) ->
     assert len(lines) <= 15
     first = "all 3 runs are bit-identical" if runs > 1 else "whether it repeats itself is not known"
     assert first in lines[0]
+
+
+def test_groups_without_a_complete_run_say_why(tmp_path: Path) -> None:
+    """Say on a terminal's first screen, of several groups, how many runs ended early, and what ended the first."""
+    for index in range(3):
+        for run in range(2):
+            failed = {"status": "FAILED", "reason": f"out of memory {index}", "name": f"{index}-{run}.mcap"}
+            write_recording(tmp_path, grid(2), run=run, simulator=f"s{index}", **failed)
+
+    def shown() -> str:
+        stream = io.StringIO()
+        print_document(brief(evaluate_files(sorted(tmp_path.glob("*.mcap")))), stream)
+        return stream.getvalue()
+
+    assert "3 groups: no run is complete\n" in shown()
+    assert "s1: 2 of 2 runs not complete: failed: out of memory 1\nand 1 more with such runs\n" in shown()
+    write_recording(tmp_path, grid(2), run=2, simulator="s2")
+    assert "3 groups: no group has several runs to compare\n" in shown()
+    assert "s0: 2 of 2 runs not complete: failed: out of memory 0\n" in shown()

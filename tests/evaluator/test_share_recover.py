@@ -15,7 +15,7 @@ from psutil import Process
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.share.recover import recover
-from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
+from gpusimbench.schemas.errors import DamagedRecording, FailedCrc, RecordingError, UsageError
 from gpusimbench.schemas.mcap.records import MAGIC
 from tests.conftest import call, wait_for
 from tests.evaluator.test_share_pack import contents, share
@@ -132,6 +132,7 @@ def test_damage_ends_what_is_recovered(whole: Path, tmp_path: Path, cut: bool) -
     command = share("recover", tmp_path / "bad.mcap")
     assert command.returncode == 3
     assert "behind damage" in command.stdout
+    assert " ".join(FailedCrc.advice.split()) in " ".join(command.stdout.split())
     assert contents(tmp_path / "bad.recovered.mcap") == contents(done.path)
 
 

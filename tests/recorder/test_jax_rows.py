@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies
 
+from gpusimbench import open_recording, wrap
+from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 from gpusimbench.schemas.errors import DataLost
 from tests.conftest import finished
@@ -163,3 +167,90 @@ def test_arrays_whose_memory_is_taken(take: bool) -> None:
             _stepped(rows, range(27, 40), kept)
         found = rows.take()()
     assert np.array_equal(found["reward"][:, 0], np.arange(25.0))
+
+
+_OPERATIONS = strategies.lists(
+    strategies.one_of(
+        strategies.tuples(strategies.sampled_from(["jax", "jax", "jax", "numpy", "both"]), strategies.integers(1, 24)),
+        strategies.tuples(strategies.sampled_from(["replace", "last", "take"]), strategies.integers(0, 1)),
+        strategies.tuples(strategies.just("donate"), strategies.integers(1, 12)),
+    ),
+    max_size=20,
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(_OPERATIONS)
+def test_rows_are_those_of_a_list(operations: list[tuple[str, int]]) -> None:
+    """Take what a list of copies has, whatever is kept, replaced, asked for, taken and donated; or a part of it that is
+    in front, and an error."""
+    give = jax.jit(lambda array: array + 1, donate_argnums=0)
+    rows, copies, arrays_of = JaxRows(), list[Any](), list[Any]()
+    later: list[tuple[Any, Any]] = []  # functions that wait, and what they give
+    lost = False
+    for what, number in operations:
+        try:
+            if what in ("jax", "numpy", "both"):
+                for _ in range(number):
+                    seen = np.arange(6, dtype=np.float32).reshape(3, 2) + len(copies)
+                    row = {"observation": seen, "reward": np.full(N_ENV, len(copies), np.int32)}
+                    of_numpy = {"jax": (), "numpy": ("observation", "reward"), "both": ("reward",)}[what]
+                    arrays = {k: v.copy() if k in of_numpy else jax.numpy.asarray(v) for k, v in row.items()}
+                    rows.keep(arrays)
+                    for name in of_numpy:
+                        arrays[name][:] = -1
+                    copies.append(row)
+                    arrays_of.append(arrays)
+            elif what == "donate" and len(arrays_of) >= number:
+                array = arrays_of[-number]["reward"]
+                if not isinstance(array, np.ndarray) and not array.is_deleted():
+                    give(array)
+            elif what == "replace" and copies:
+                seen = np.full((3, 2), -7.0, np.float32)
+                rows.replace({"observation": jax.numpy.asarray(seen) if number else seen})
+                copies[-1] = {**copies[-1], "observation": seen}
+            elif what == "last" and copies:
+                later.append((rows.last(["observation", "reward"]), copies[-1]))
+            elif what == "take" and copies:
+                taken, lost = rows.take(), rows.lost is not None
+                later.append((taken, copies))
+                if lost:
+                    break
+                copies, arrays_of = [], []
+        except DataLost:
+            lost = True
+            break
+    if rows.filled:
+        later.append((rows.take(), copies))
+        lost = lost or rows.lost is not None
+    for function, kept in later:
+        found = function()
+        if isinstance(kept, list):
+            there = len(found["reward"])
+            assert there == len(kept) or (lost and kept is copies and there < len(kept))
+            kept = {name: np.array([row[name] for row in kept[:there]]) for name in kept[0]} if there else {}
+        for name, array in kept.items():
+            assert np.array_equal(found[name], array), name
+
+
+@pytest.mark.parametrize("steps", [60, 28, None])
+@pytest.mark.parametrize("hashed", [False, True])
+def test_a_recording_whose_rows_were_lost(steps: int | None, hashed: bool, tmp_path: Path) -> None:
+    """Raise the error, in a later step or at the end; the rows before are in a whole file, and it says why it ends."""
+    from tests.recorder.test_wrap_misuse import KEY, Counting  # needs JAX
+
+    give = jax.jit(lambda array: array * 1, donate_argnums=0)
+    made = 60 if steps == 60 else 28
+    with pytest.raises(DataLost, match="donate_argnums"), wrap(Counting(), tmp_path / "a.mcap", steps=steps) as envs:
+        states = [envs.reset(KEY)]
+        for number in range(made):
+            if number == 27:
+                give(states[-2].obs)
+            states.append(envs.step(states[-1], jax.numpy.zeros((len(states[0].reward), 1))))
+            if hashed:
+                envs.fingerprint("policy", np.arange(number + 1))
+    recording = open_recording(tmp_path / "a.mcap")
+    verify(recording)
+    assert recording.status == "failed" and "donate_argnums" in recording.reason
+    (reward,) = (field for field in recording.fields if field.field == "reward")
+    assert len(recording.state(reward.group, reward.field)) == 26

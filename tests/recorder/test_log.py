@@ -308,14 +308,15 @@ def test_a_killed_program_without_announced_steps(tmp_path: Path, capsys: pytest
 
 
 def test_no_file_is_overwritten(tmp_path: Path) -> None:
-    """Refuse a name that is taken, and leave an unfinished file its .partial name where the disk takes no more."""
+    """Refuse a name that is taken, and end a recording of which the program lost something with its words."""
     (tmp_path / "a.mcap").write_bytes(b"kept")
     with pytest.raises(UsageError, match="exists already"), writer(tmp_path / "a.mcap"):
         pass
     assert (tmp_path / "a.mcap").read_bytes() == b"kept"
     with pytest.raises(DataLost), writer(tmp_path / "b.mcap"):
-        raise DataLost("full")
-    assert [path.name for path in tmp_path.glob("b*")] == ["b.mcap.partial"]
+        raise DataLost("rows are missing")
+    recording = open_recording(tmp_path / "b.mcap")
+    assert (recording.status, recording.reason) == ("failed", "DataLost: rows are missing")
 
 
 def test_a_flush_that_fails(

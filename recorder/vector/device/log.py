@@ -60,6 +60,7 @@ class HostLog:
         self._path, self._steps, self._dt, self._about = path, steps, dt, about
         self._history: History | None = None
         self._writer: RecordingWriter | None = None
+        self._states = 0
 
     def append(self, rows: Columns, resets: Mapping[int, Reset]) -> None:
         """Write rows that follow those of the last call; see History. The first call begins the recording."""
@@ -73,11 +74,13 @@ class HostLog:
         if self._writer is None:
             self._writer = self._begun({name: array[0] for name, array in found.items()}, of_images)
         self._writer.append(*(array.astype(recorded_dtype(array.dtype), copy=False) for array in found.values()))
+        self._states += len(rows["reward"])
 
     def fingerprint(self, name: str, found: Hashed, states: int) -> None:
-        """See RecordingWriter.fingerprint."""
+        """See RecordingWriter.fingerprint. What follows rows that were lost is left out."""
         assert self._writer is not None
-        self._writer.fingerprint(name, found, states=states)
+        if states <= self._states:
+            self._writer.fingerprint(name, found, states=states)
 
     def end(self, error: BaseException | None) -> None:
         """End the recording; an error is its reason."""
@@ -126,6 +129,7 @@ class DeviceLog:
         self._writing: Writing[_Job] | None = None
         self._resets: dict[int, Reset] = {}
         self._hashes = Hashes()
+        self._hashed: list[tuple[str, Hashed, int]] = []  # what goes to the recording behind the rows that are there
         self._process = os.getpid()
         self.made = 0
         self.ended = False
@@ -179,8 +183,10 @@ class DeviceLog:
 
         reset  whether environments were reset before the first step
         """
-        states, log = self.made + 1 if self.begun or reset else 0, self._log
-        write = (lambda *found: self._put(lambda: log.fingerprint(*found))) if log else None
+        if self.begun and not self.ended:
+            self._check_process()
+        states = self.made + 1 if self.begun or reset else 0
+        write = (lambda *found: self._hashed.append(found)) if self.begun else None
         self._hashes.take(name, arrays, states=states, ended=self.ended, write=write)
 
     def past_the_end(self) -> None:
@@ -216,20 +222,32 @@ class DeviceLog:
     def _write(self) -> None:
         with postponed():  # rows that were taken and not put would be missing
             log, resets, self._resets = self._log, self._resets, {}
-            if self._rows.filled and log is not None:
-                rows = self._rows.take()
-                self._put(lambda: log.append(rows(), resets))
-                if self._rows.lost is not None:
-                    raise self._rows.lost
+            found, self._hashed = self._hashed, []
+            if log is None or not (self._rows.filled or found):
+                return
+            rows = self._rows.take() if self._rows.filled else dict
+
+            def write() -> None:
+                if taken := rows():
+                    log.append(taken, resets)
+                for hashes in found:
+                    log.fingerprint(*hashes)
+
+            self._put(write)
+            if self._rows.lost is not None:
+                raise self._rows.lost
 
     @property
     def _copied(self) -> bool:
         # a copy of the process that records (os.fork) lacks the thread that writes
         return os.getpid() != self._process
 
-    def _put(self, work: Callable[[], None]) -> None:
-        assert self._writing is not None
+    def _check_process(self) -> None:
         if self._copied:
             raise DataLost("this process is a copy (os.fork) of the one that records: it writes nothing")
+
+    def _put(self, work: Callable[[], None]) -> None:
+        assert self._writing is not None
+        self._check_process()
         self._writing.wait(1)
         self._writing.put(_Job(work))
