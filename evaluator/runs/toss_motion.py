@@ -25,6 +25,7 @@ from gpusimbench.evaluator.runs.positions import in_env_frame
 from gpusimbench.schemas import arrays, checks
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.tosses import GROUP, ODD, TOSSES, TossSet, judged_on
 from gpusimbench.schemas.treatment import GIVEN, TEACHER, Intervention
 
@@ -58,7 +59,7 @@ class MeasuredTosses:
 
     def name(self) -> str:
         """For tables and sentences."""
-        return f"{len(self.known.rows)} tosses: {self.known.source}"
+        return f"{plural(len(self.known.rows), 'toss', 'tosses')}: {self.known.source}"
 
 
 def measured_tosses(recording: Recording) -> MeasuredTosses | None:

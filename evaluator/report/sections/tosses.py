@@ -138,7 +138,7 @@ def _throughput(order: Sequence[Ranked], reasons: Reasons) -> tuple[Column, Writ
         if of is None:
             return written(result)
         found, n_env = written(of), of.group.key.n_env
-        return found if n_env == result.group.key.n_env else replace(found, notes=(*found.notes, f"{n_env} envs"))
+        return found if n_env == result.group.key.n_env else replace(found, notes=(*found.notes, plural(n_env, "env")))
 
     return column, cell
 
