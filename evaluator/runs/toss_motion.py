@@ -93,7 +93,7 @@ def errors_of(recording: Recording, measured: MeasuredTosses, only: str = "") ->
     only  EVEN or ODD, instead of the tosses that it is judged by
     """
     if settings := set_every(recording.configuration):
-        return Missing(f"it is set to the measured tosses every {settings} steps: it has local errors")
+        return Missing(f"it is set to the tosses every {plural(settings, 'step')}: it has local errors")
     found = _simulated(recording, measured, 1, only)
     if isinstance(found, Missing):
         return found
@@ -107,7 +107,7 @@ def local_errors_of(recording: Recording, measured: MeasuredTosses) -> LocalErro
     the tosses; the reason where they cannot be computed."""
     settings = set_every(recording.configuration)
     if not settings:
-        return Missing("it is not set to the measured tosses on the way: record with --intervene teacher@STEPS")
+        return Missing("it is not set to the tosses on the way: record with --intervene teacher@STEPS")
     found = _simulated(recording, measured, settings)
     if isinstance(found, Missing):
         return found
