@@ -111,6 +111,9 @@ def _growth(growth: Growth) -> Pairs:
     parts = []
     if last is not None:
         parts.append(f"bodies up to {words.length(growth.largest[last])} apart at {growth.times[last]:g} s")
+    if growth.fallen:
+        fell = f"without {plural(growth.fallen, 'body', 'bodies')} that fell off the board"
+        parts.append(fell if growth.max_not_fallen else "all of which fell off the board")
     parts += reached(growth)
     if not isinstance(growth.fit, Missing) and not growth.fit.why_no_rate:
         parts.append(f"rate {growth.fit.rate:.3g} /s")
