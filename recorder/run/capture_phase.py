@@ -175,7 +175,7 @@ class CapturePhase:
         clock.written()
         self._write_clock(clock, writer)
         if blocks.problem:
-            self._journal.gate(blocks.problem, "NOT_FINITE")
+            self._journal.not_finite(blocks.problem)
         self._journal.ask_gates(simulator)
         if not blocks.problem:
             write_applied(self._journal, simulator, c, c.first_step, c.captured_steps)
