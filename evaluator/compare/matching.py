@@ -16,7 +16,7 @@ from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.text import cut, few, first, plural
 
-ACROSS = ("simulator", "scene", "determinism", "n_env", "warmup", "timed_steps")
+ACROSS = ("simulator", "scene", "determinism", "n_env", "dt", "warmup", "timed_steps")
 """What --across takes besides names of options."""
 
 _SHOWN, _LENGTH, _NEAR, _HASH = 12, 48, 4, 12
@@ -112,7 +112,7 @@ def asked_of(group: Group[Run], across: Collection[str] = ()) -> GroupKey:
     plain["options"] = json.dumps(options, sort_keys=True)
     for name in ACROSS:
         if name in across:
-            plain[name] = 0 if isinstance(getattr(key, name), int) else ""
+            plain[name] = type(getattr(key, name))()
     return replace(key, **plain)
 
 
