@@ -71,6 +71,15 @@ def few(names: Sequence[str], most: int, what: str = "", *, by: str = ", ") -> s
     return by.join(shown) if len(names) <= most else f"{by.join(shown[:-1])} {shown[-1]}"
 
 
+def plural(number: int, what: str, several: str = "", *, spec: str = "") -> str:
+    """A number of things: "1 run", "2 runs".
+
+    several  the plural of a word that takes more than an s
+    spec     format of the number, such as "," for 1,000
+    """
+    return f"{number:{spec}} {what if number == 1 else several or f'{what}s'}"
+
+
 def show(text: Line | Block, *, error: bool = False) -> None:
     """Print a line, or lines, on standard output, or on standard error; whoever reads them gets them at once."""
     stream = sys.stderr if error else sys.stdout

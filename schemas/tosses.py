@@ -1,4 +1,4 @@
-"""Tosses: measured motions of one thrown cube, and what a recording of them says of itself beside its states.
+"""Tosses: motions of one thrown cube, measured or synthetic, and what a recording of them says of itself.
 
 A recording of tosses has one environment for each toss, in the order of the set. Its states are the measured rows at
 their times. A toss that is shorter than the longest keeps its last row, and `rows` says how many rows were measured.
@@ -44,6 +44,10 @@ def judged_on(fitted: Mapping[str, str]) -> str:
     return ODD if fitted else ""
 
 
+SYNTHETIC = "synthetic tosses, made by a simulation"
+"""The source of a set that nobody measured, such as the set that the recorder ships."""
+
+
 @dataclass(frozen=True)
 class TossSet:
     """What is known of a set of tosses.
@@ -60,6 +64,11 @@ class TossSet:
     rows: tuple[int, ...]
     length_scale: float
     corrections: tuple[str, ...]
+
+    @property
+    def kind(self) -> str:
+        """For titles: whether the set was measured."""
+        return "synthetic tosses" if self.source == SYNTHETIC else "measured tosses"
 
     def to_json(self) -> str:
         """As the attachment has it."""

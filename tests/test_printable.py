@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.render.console import Screen, plain_table
 from gpusimbench.schemas import text as texts
-from gpusimbench.schemas.text import block, cut, few, first, line, printable
+from gpusimbench.schemas.text import block, cut, few, first, line, plural, printable
 
 _ROOT = Path(__file__).parents[1]
 _HIDDEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
@@ -37,6 +37,12 @@ def test_what_moves_or_hides_text_is_shown(sign: str, shown: str) -> None:
     """Show line breaks, controls, format characters and halves of pairs as escapes; a page keeps its line breaks."""
     assert line(f"a{sign}b") == f"a{shown}b"
     assert printable(f"a{sign}b") == ("a\nb" if sign == "\n" else f"a{shown}b")
+
+
+def test_counts_agree_with_their_nouns() -> None:
+    """Give the singular of 1 alone, and the plural that a noun has."""
+    assert [plural(number, "run") for number in (0, 1, 2)] == ["0 runs", "1 run", "2 runs"]
+    assert [plural(number, "body", "bodies", spec=",") for number in (1, 4096)] == ["1 body", "4,096 bodies"]
 
 
 def test_letters_stay() -> None:

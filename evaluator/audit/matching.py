@@ -11,7 +11,7 @@ from gpusimbench.evaluator.audit.verdict import Match
 from gpusimbench.evaluator.diff.result import Basis, Difference, Setting
 from gpusimbench.evaluator.diff.settings import is_other_package
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.schemas.text import first
+from gpusimbench.schemas.text import first, plural
 
 _PHASES = ("capture", "timed")
 _MOST_NAMED = 3
@@ -48,7 +48,7 @@ def _left_out(found: Difference, original: Recording, replay: Recording) -> Iter
     yield from (f"the {phase} phase" for phase in missing)
     yield from c.left_out
     if c.n_env < asked.n_env:
-        yield f"{asked.n_env - c.n_env} of {asked.n_env} environments"
+        yield f"{asked.n_env - c.n_env} of {plural(asked.n_env, 'environment')}"
     states = c.state_steps.count if c.state_steps else 0
     recorded = max((len(original.state(f.group, f.field).steps) for f in original.fields), default=0)
     if recorded > states and "capture" not in missing:
@@ -61,7 +61,7 @@ def _left_out(found: Difference, original: Recording, replay: Recording) -> Iter
         rows = 0 if hashes is None else len(hashes.steps)
         if rows > looked_at[phase] and phase not in missing:
             why = f" ({c.no_hashes})" if c.no_hashes else ""
-            yield f"state hashes of {rows - looked_at[phase]} of {rows} steps of the {phase} phase{why}"
+            yield f"state hashes of {rows - looked_at[phase]} of {plural(rows, 'step')} of the {phase} phase{why}"
 
 
 def _no_ulps(found: Difference) -> Iterator[str]:
@@ -70,7 +70,7 @@ def _no_ulps(found: Difference) -> Iterator[str]:
     if others:
         yield f"{_named(others)} cannot be compared by bits"
     if c.unseen_steps:
-        yield f"state hashes differ at {c.unseen_steps} steps of which no state was recorded"
+        yield f"state hashes differ at {plural(c.unseen_steps, 'step')} of which no state was recorded"
     if found.other_program:
         yield "arrays of the program were compared by hashes alone"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference
-from gpusimbench.evaluator.diff.verdict import apart, place_of
+from gpusimbench.evaluator.diff.verdict import apart, equal_before, gap_before, place_of
 from gpusimbench.evaluator.diff.words import amount, length
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
@@ -62,7 +62,8 @@ def by_states(good: Sequence[Recording], other: Sequence[Recording]) -> Verdict:
         except NothingComparable as error:
             return Verdict(None, str(error))
         if found.first is not None:
-            return Verdict(True, f"from step {found.first.step_a} on{_apart(found)}")
+            gap = equal_before(found.first) if gap_before(found.first) else ""
+            return Verdict(True, f"from step {found.first.step_a} on{gap}{_apart(found)}")
         if not found.bit_identical:
             return Verdict(None, "their bits cannot be compared")
     return Verdict(False, "all states are bit-identical")

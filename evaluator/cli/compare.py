@@ -99,7 +99,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--across", action="append", default=[], metavar="KEY",
-        help="what may differ: an option, or simulator, scene, determinism, n_env, warmup, timed_steps; repeatable",
+        help="what may differ: an option, or simulator, scene, determinism, n_env, dt, warmup, timed_steps; repeatable",
     )  # fmt: skip
     p.add_argument(
         "--history", type=local_path, metavar="DIR",

@@ -11,6 +11,7 @@ from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_p
 from gpusimbench.schemas.commands.progress import each, sizes, stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
@@ -90,7 +91,8 @@ def _check(arguments: argparse.Namespace) -> None:
         )
     if envs > 2 or (files == 1 and envs == 1):
         raise UsageError(
-            f"{envs} environments were given: with one recording give --env twice, with two recordings once or twice"
+            f"{plural(envs, 'environment')} given: with one recording give --env twice, with two "
+            "recordings once or twice"
         )
     if arguments.plot and arguments.plot.suffix != ".svg":
         raise UsageError(f"--plot draws SVG; name the file .svg instead of {arguments.plot.name}")

@@ -23,7 +23,7 @@ from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.commands.progress import each, sizes, stage
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.text import block, line, show
+from gpusimbench.schemas.text import block, line, plural, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.share.pack import Copied
@@ -184,7 +184,7 @@ def _told(done: Recovered) -> Iterator[str]:
         yield f"  {stream.messages:>8} messages  {stream.name}{steps}"
     yield f"  {len(done.attachments):>8} attachments  {', '.join(done.attachments)}"
     if done.damage:
-        yield f"  {done.lost_bytes} bytes behind damage are left out: {done.damage}"
+        yield f"  {plural(done.lost_bytes, 'byte')} behind damage are left out: {done.damage}"
     elif done.lost_bytes:
         yield f"  {done.lost_bytes} bytes at the end are left out: they are no whole record"
     else:

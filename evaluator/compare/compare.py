@@ -282,6 +282,11 @@ def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[
         lines.append(
             f"few complete runs ({order.n[0]} of base, {order.n[1]} of head): record at least {FEW_RUNS} a side"
         )
+    dts = [side.key.dt for side in (draft.pair.base, draft.pair.head)]
+    if dts[0] != dts[1]:
+        lines.append(
+            "throughput is NOT comparable: it counts steps of {:g} s in base, and of {:g} s in head".format(*dts)
+        )
     return [*timed.of_sides(*draft.timed), *lines, *_without_power(findings, alpha)]
 
 

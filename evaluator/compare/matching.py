@@ -15,9 +15,9 @@ from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.text import cut, few, first
+from gpusimbench.schemas.text import cut, few, first, plural
 
-ACROSS = ("simulator", "scene", "determinism", "n_env", "warmup", "timed_steps")
+ACROSS = ("simulator", "scene", "determinism", "n_env", "dt", "warmup", "timed_steps")
 """What --across takes besides names of options."""
 
 _SHOWN, _LENGTH, _NEAR, _HASH = 12, 48, 4, 12
@@ -72,7 +72,7 @@ def match(base: Groups, head: Groups, across: Collection[str] = ()) -> Matching:
         for name, (one, other) in zip(names, found, strict=True)
     )
     alone = [
-        (side, f"{label}, {group.key.scene}, {group.key.n_env} envs", _why(group, others, across))
+        (side, f"{label}, {group.key.scene}, {plural(group.key.n_env, 'env')}", _why(group, others, across))
         for side, groups, rest, others in (("base", base, left, head), ("head", head, right, base))
         for group, label in zip(groups, labels([g.key for g in groups], given), strict=True)
         if group in rest
@@ -115,7 +115,7 @@ def asked_of(group: Group[Run], across: Collection[str] = ()) -> GroupKey:
     plain["options"] = json.dumps(options, sort_keys=True)
     for name in ACROSS:
         if name in across:
-            plain[name] = 0 if isinstance(getattr(key, name), int) else ""
+            plain[name] = type(getattr(key, name))()
     return replace(key, **plain)
 
 

@@ -10,6 +10,7 @@ from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Measured
+from gpusimbench.schemas.text import plural
 
 _NAME, _TITLE = "mechanics", "checks of mechanics"
 
@@ -59,7 +60,7 @@ def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, cert
         Change.REGRESSION if worse * n1 > bad * n2 else Change.IMPROVEMENT, Direction.HIGHER,
         said=(_said(one), _said(other)), n=(n1, n2),
         method=f"verdict of gsb-eval --all over all runs, by {NEWEST.value}",
-        note=f"broken in {bad} of {n1} runs of base, {worse} of {n2} of head",
+        note=f"broken in {bad} of {plural(n1, 'run')} of base, {worse} of {n2} of head",
     )  # fmt: skip
     return finding if certain else Counted(finding, *counts, of="in which it is broken")
 

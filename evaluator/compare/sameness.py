@@ -16,6 +16,7 @@ from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTIN
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate
 from gpusimbench.evaluator.runs.array_history import ArrayHistory
 from gpusimbench.evaluator.runs.state_hashes import Histories
+from gpusimbench.schemas.text import plural
 
 _ENVS, _RUNS = "bits of environments", "bits of runs"
 _STATES = "states of head and base"
@@ -69,7 +70,7 @@ def compare_bits(base: Runs, head: Runs) -> Finding | None:
             "needs two runs a side"
         )
         return not_compared(Axis.BITS, "states", _STATES, why)
-    said = f"bit-identical at {rows} steps" if same else f"differ from step {int(one.steps[apart[0]])} on"
+    said = f"bit-identical at {plural(rows, 'step')}" if same else f"differ from step {int(one.steps[apart[0]])} on"
     change = Change.SAME if same else Change.CHANGED
     return Finding(Axis.BITS, "states", _STATES, change, said=("", said), n=n, method=method)
 

@@ -104,7 +104,7 @@ def headline(result: Result) -> str:
 def heading(compared: Compared) -> str:
     """Which configuration."""
     key = compared.pair.base.key
-    envs = f"{key.n_env} env{'' if key.n_env == 1 else 's'}"
+    envs = plural(key.n_env, "env")
     return f"{compared.pair.label}, {key.scene}, {envs}, dt {key.dt:g} s"
 
 

@@ -6,6 +6,7 @@ from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.arrays import ArrayDivergence, ArraysDifference
 from gpusimbench.evaluator.diff.verdict import apart, both_of, place_of
 from gpusimbench.evaluator.render.document import Block, Document, Text, Tone, facts, items
+from gpusimbench.schemas.text import plural
 
 _FIELDS = 8
 
@@ -40,7 +41,7 @@ def _facts(first: ArrayDivergence) -> Block:
     if first.after_step is not None:
         step += f"; equal up to step {first.after_step}"
     if first.n_env > 1:
-        step += f"; {first.envs:,} of {first.n_env:,} envs differ at that step, first env {first.env}"
+        step += f"; {first.envs:,} of {plural(first.n_env, 'env', spec=',')} differ at that step, first env {first.env}"
     return facts(
         ("first at", step),
         ("fields", words.names(first.fields, _FIELDS)),

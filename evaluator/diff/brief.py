@@ -7,6 +7,7 @@ from gpusimbench.evaluator.diff.result import Contacts, Difference, Divergence, 
 from gpusimbench.evaluator.diff.verdict import both_of, equal_before, pair_of, step_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Facts, facts
+from gpusimbench.schemas.text import plural
 
 _ITEMS, _FIELDS, _NAMES, _CHANGES, _CLASSES = 6, 8, 4, 4, 3
 _JOINTS = "/qpos "  # a field of several units is in parts, such as "joints/qpos [m]"
@@ -52,7 +53,7 @@ def _compared(found: Difference) -> str:
 def _first(found: Difference, first: Divergence) -> Pairs:
     said = step_of(found, first) + equal_before(first)
     if found.compared.n_env > 1:
-        pairs = f"{first.envs:,} of {found.compared.n_env:,} pairs of envs differ at that step"
+        pairs = f"{first.envs:,} of {plural(found.compared.n_env, 'pair', spec=',')} of envs differ at that step"
         said += f"; {pairs}, first {pair_of(found, first)}"
     label = "states differ" if found.other_program else "first at"
     return [(label, said), *_where(found, first)]
@@ -110,6 +111,9 @@ def _growth(growth: Growth) -> Pairs:
     parts = []
     if last is not None:
         parts.append(f"bodies up to {words.length(growth.largest[last])} apart at {growth.times[last]:g} s")
+    if growth.fallen:
+        fell = f"without {plural(growth.fallen, 'body', 'bodies')} that fell off the board"
+        parts.append(fell if growth.max_not_fallen else "all of which fell off the board")
     parts += reached(growth)
     if not isinstance(growth.fit, Missing) and not growth.fit.why_no_rate:
         parts.append(f"rate {growth.fit.rate:.3g} /s")

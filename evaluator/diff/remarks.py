@@ -13,6 +13,7 @@ from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement
 from gpusimbench.evaluator.diff.states import CommonStates, Ends
 from gpusimbench.evaluator.metrics.identity import unchanging
+from gpusimbench.schemas.text import plural
 
 Fields = tuple[CommonField, ...]
 
@@ -127,7 +128,7 @@ def timed(agreement: Agreement | None) -> tuple[str, ...]:
     """What the hashes of the timed phase say, which are compared beside those of the capture, where they differ."""
     if agreement is None or agreement.first is None:
         return ()
-    first, of = agreement.first, f"{agreement.pairs} pair{'s' if agreement.pairs > 1 else ''} of envs"
+    first, of = agreement.first, f"{plural(agreement.pairs, 'pair')} of envs"
     return (
         f"state hashes of the timed phase differ: first at its step {agreement.first_step()}, {first.count} of {of}",
     )

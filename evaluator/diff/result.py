@@ -242,8 +242,12 @@ class Growth:
     median_planar, max_planar      distance in x and y [m]; None where no pair is finite
     median_spatial, max_spatial    in x, y and z [m]; None likewise, or where heights were not recorded
     not_finite_from                first step with a position that is not finite; None without any
-    to_1mm, to_1cm                 first recorded time at which the largest distance has that size [s]; None: never
-    fit                            exponential growth
+    max_not_fallen                 the largest distance among bodies that have not fallen off the board of the scene
+                                   in either recording, in space [m]; empty where the scene has no board, heights were
+                                   not recorded, or all bodies have in the end
+    fallen                         bodies that have, at the last of these steps
+    to_1mm, to_1cm                 first recorded time at which `largest` has that size [s]; None: never
+    fit                            exponential growth of `largest`
     """
 
     groups: tuple[str, ...]
@@ -257,10 +261,15 @@ class Growth:
     to_1mm: float | None
     to_1cm: float | None
     fit: GrowthFit | Missing
+    max_not_fallen: tuple[float | None, ...] = ()
+    fallen: int = 0
 
     @property
     def largest(self) -> tuple[float | None, ...]:
-        """The largest distance in space, or in the plane where heights were not recorded. [step]"""
+        """The largest distance in space, or in the plane where heights were not recorded; without bodies that have
+        fallen off the board, which fall on for as long as is recorded. [step]"""
+        if self.max_not_fallen:
+            return self.max_not_fallen
         return self.max_spatial if any(d is not None for d in self.max_spatial) else self.max_planar
 
 

@@ -23,7 +23,7 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.numbers import NONE, ulps
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 _REMARKS, _VALUE, _CHANGES, _CLASSES = 3, 48, 8, 8
 _ROWS, _WIDTH = 6, 60
@@ -144,7 +144,12 @@ def _growth(growth: Growth) -> list[str]:
     if len(levels) >= _FEWEST and known:
         low, span = min(known), max(max(known) - min(known), 1e-9)
         bars = words.sparkline([None if v is None else (v - low) / span for v in levels], _WIDTH)
-        lines.append(f"max, log scale: |{bars}| {growth.times[0]:g} to {growth.times[-1]:g} s")
+        lines.append(f"largest, log scale: |{bars}| {growth.times[0]:g} to {growth.times[-1]:g} s")
+    if growth.fallen and growth.max_not_fallen:
+        lines.append(
+            f"without {plural(growth.fallen, 'body', 'bodies')} that fell off the board in either recording: up to "
+            f"{words.length(growth.largest[-1])} apart in the end; what follows is of these distances"
+        )
     lines += reached(growth)
     fit = growth.fit
     if isinstance(fit, Missing) or fit.why_no_rate:
@@ -152,7 +157,7 @@ def _growth(growth: Growth) -> list[str]:
     else:
         doubling = "" if fit.doubling_time is None else f", doubling every {fit.doubling_time * 1000:.3g} ms"
         lines.append(
-            f"growth rate: {fit.rate:.3g} /s{doubling}; log-linear fit of the max through {fit.points} steps from "
+            f"growth rate: {fit.rate:.3g} /s{doubling}; log-linear fit of the largest through {fit.points} steps from "
             f"{fit.begin:g} to {fit.end:g} s (first difference to 1 mm), R2 {fit.r_squared:.3f}"
         )
     if growth.not_finite_from is not None:

@@ -15,6 +15,7 @@ from gpusimbench.evaluator.diff.result import FieldDifference, Growth
 from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement
 from gpusimbench.evaluator.diff.states import CommonStates
+from gpusimbench.evaluator.read.scene import board_of
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.mixing import GOLDEN, mix
@@ -46,7 +47,7 @@ def walk_states(
     """
     tallies = [Tally(how) for how in states.fields]
     positions = [how for how in states.fields if how.field.is_position]
-    distances = Distances(positions) if positions else None
+    distances = Distances(positions, (board_of(a.recording), board_of(b.recording))) if positions else None
     agreement = Agreement(len(a.envs), len(b.envs), classes=classes)
     for rows in each(list(states.ranges()), "comparing states"):
         steps = states.steps_a[rows]

@@ -121,7 +121,7 @@ def _poses_row(found: Poses | Missing) -> list[Cell | str]:
 
 
 def _bodies(count: int) -> str:
-    return "1 body" if count == 1 else f"{count} bodies"
+    return plural(count, "body", "bodies")
 
 
 def _responses_row(found: Responses | Missing) -> list[Cell | str]:

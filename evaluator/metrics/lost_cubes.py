@@ -65,6 +65,29 @@ def clamped(planar: npt.NDArray[np.floating], board: Board) -> npt.NDArray[np.fl
     return np.clip(np.asarray(planar, dtype=np.float64), centre - half, centre + half)
 
 
+class Fallen:
+    """Follows bodies, and says which are lower than the top of a board, beside it or through it, after being higher.
+
+    A body that is lower from the beginning, such as one on a floor beside the board, has not fallen.
+    """
+
+    def __init__(self, board: Board) -> None:
+        self._top = board.centre[2] + board.size[2] / 2
+        self._was_higher: npt.NDArray[np.bool_] | None = None
+
+    def feed(self, positions: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+        """Of the next steps, which have, shape [step, env, item].
+
+        positions  of centres in the board's frame [m], shape [step, env, item, 3]
+        """
+        higher = np.asarray(positions)[..., 2] >= self._top
+        was_higher = np.logical_or.accumulate(higher, axis=0)
+        if self._was_higher is not None:
+            was_higher |= self._was_higher
+        self._was_higher = was_higher[-1]
+        return np.asarray(was_higher & ~higher)
+
+
 class Sinking:
     """Follows bodies through time and finds those that end beneath a support after going down through it.
 

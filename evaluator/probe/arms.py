@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import GroupKey, key_of
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.treatment import (
     Given,
     Initial,
@@ -202,4 +203,4 @@ def _ended(recording: Recording) -> bool:
 def _treatment(recording: Recording) -> str:
     c = recording.configuration
     saved = f"snapshot {c.snapshots[0]}" if c.snapshots else ""
-    return " ".join(filter(None, (f"{c.n_env} envs", initial_words(c.initial), c.intervention, saved)))
+    return " ".join(filter(None, (plural(c.n_env, "env"), initial_words(c.initial), c.intervention, saved)))

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.treatment import Initial, Intervention, Vary, drawn
 
 CONFIRMED = 2
@@ -44,7 +45,7 @@ class Arm:
     def words(self) -> str:
         """What is special about it, for who waits for it."""
         saved = f"snapshot after step {self.snapshot}" if self.snapshot else ""
-        return ", ".join(filter(None, (f"{self.n_env} envs", self.initial, self.intervention, saved)))
+        return ", ".join(filter(None, (plural(self.n_env, "env"), self.initial, self.intervention, saved)))
 
 
 PRICED = 4

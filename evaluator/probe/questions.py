@@ -22,6 +22,7 @@ from gpusimbench.evaluator.probe.interventions import bystanders, fresh, poison,
 from gpusimbench.evaluator.probe.pairs import Found, Pairs, held
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.treatment import Initial
 
 _WHY = 60  # characters of why an arm is missing
@@ -95,7 +96,9 @@ def _runs(arms: Arms) -> Asked | Missing:
         for other in runs[1:]
     ]
     count = sum(map(len, arms.repeated))
-    asked = worst_of(found, f"{count} runs of {len(arms.repeated)} configurations, each with others of the same")
+    asked = worst_of(
+        found, f"{count} runs of {plural(len(arms.repeated), 'configuration')}, each with others of the same"
+    )
     if isinstance(asked, Missing) or asked.found.level is not Level.BIT_IDENTICAL:
         return asked
     agreed = sum(not isinstance(one, Missing) for one in found)
@@ -209,7 +212,7 @@ def _device(arms: Arms) -> Asked | Missing:
                 differ[how] = None
     if not found:
         return Missing("needs the same runs on another device")
-    said = f"{len(found)} {'run' if len(found) == 1 else 'runs'} and the same on {', '.join(devices)}"
+    said = f"{plural(len(found), 'run')} and the same on {', '.join(devices)}"
     return worst_of(found, said, f"differs with {', '.join(sorted(differ))}" if differ else "")
 
 

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import NothingComparable, RecordingError
+from gpusimbench.schemas.text import plural
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def compare_runs(command: Sequence[str], runs: Sequence[ProgramRun]) -> Comparis
     damaged: list[str] = []
     names = sorted(set().union(*found))
     left_out = [
-        f"{name}: written by run {', run '.join(str(i) for i in there)} of {len(runs)} runs"
+        f"{name}: written by run {', run '.join(str(i) for i in there)} of {plural(len(runs), 'run')}"
         for name in names
         if len(there := [i for i, run in enumerate(found) if name in run]) < len(runs)
     ]

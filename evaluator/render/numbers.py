@@ -5,6 +5,7 @@ from __future__ import annotations
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import NONE as NONE
 from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.schemas.text import plural as plural
 
 _MARKS = {"certified": "<= ", "sampled": "~ "}
 """Of a value that is an upper bound, or of a sample."""
@@ -57,11 +58,6 @@ def ulps(count: int | None, *, signs_differ: bool = False) -> str:
     if signs_differ:
         return "signs differ"
     return f"{count:,}" if count < 10**7 else f"{count:.2e}"
-
-
-def plural(number: int, what: str) -> str:
-    """A number of things, a single one without the s."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def seconds(value: float) -> str:

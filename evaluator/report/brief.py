@@ -110,7 +110,7 @@ def _one(result: GroupResult) -> Facts:
     one_more = another_run(result)
     key, runs = result.group.key, plural(len(result.group.complete), "complete run")
     return facts(
-        ("recorded", f"{key.scene}, {key.n_env} envs, {runs}, {key.device or 'no device'}"),
+        ("recorded", f"{key.scene}, {plural(key.n_env, 'env')}, {runs}, {key.device or 'no device'}"),
         *answers,
         *([("one run more", one_more)] if one_more else []),
         *([("episodes", said)] if (said := _episodes(result)) else []),
@@ -125,7 +125,10 @@ def _episodes(result: GroupResult) -> str:
     if not runs:
         return ""
     if not ended:
-        return f"none ended within the {plural(sum(run.steps for run in runs), 'recorded step')}"
+        n_env = result.group.key.n_env
+        steps = plural(max(run.steps for run in runs) // n_env, "recorded step", spec=",")
+        again = f" in each of {len(runs)} runs" if len(runs) > 1 else ""
+        return f"none ended within the {steps} of {plural(n_env, 'environment', spec=',')}{again}"
     length, total = (mean_of(runs, name) for name in ("mean_length", "mean_return"))
     returned = "" if total is None else f", mean return {total:.4g}"
     return f"{ended:,} ended in {plural(len(runs), 'run')}, mean length {length:.4g} steps{returned}"

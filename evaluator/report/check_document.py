@@ -82,7 +82,13 @@ def _wrong(report: Report) -> str:
             parts.append(f"{files[0].name} {said[0]}")
         else:
             whole = len(files) == len(report.files)
-            of = _all(report) if whole else str(len(files)) if parts else f"{len(files)} of {len(report.files)} files"
+            of = (
+                _all(report)
+                if whole
+                else str(len(files))
+                if parts
+                else f"{len(files)} of {plural(len(report.files), 'file')}"
+            )
             names = f" ({_names(files, report)})" if len(files) <= _NAMES and not whole else ""
             parts.append(f"{of} {said[len(files) > 1]}{names}")
     return ", ".join(parts)

@@ -9,6 +9,7 @@ from typing import Any
 from gpusimbench.evaluator.json_values import picked
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict
+from gpusimbench.schemas.text import plural
 
 TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
@@ -35,7 +36,7 @@ def cells(row: FidelityRow) -> tuple[str, ...]:
     if row.broken:
         verdict += f" {row.broken} of {row.count}"
     if row.runs < row.of_runs:
-        verdict += f", measured in {row.runs} of {row.of_runs} runs"
+        verdict += f", measured in {row.runs} of {plural(row.of_runs, 'run')}"
     spread = NONE if row.least == row.most else f"{number(row.least)} to {number(row.most)}"
     return row.check.title + unit, number(row.mean), spread, allowed(row), number(row.tolerance), verdict
 

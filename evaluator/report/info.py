@@ -323,7 +323,7 @@ def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
     for phase, names in found.counters.items():
         yield "counted", f"{phase}: {', '.join(names)}"
     if found.hashes:
-        yield "hashes", ", ".join(f"{phase} at {count} steps" for phase, count in found.hashes.items())
+        yield "hashes", ", ".join(f"{phase} at {plural(count, 'step')}" for phase, count in found.hashes.items())
     for gate in found.gates:
         yield "gate", gate
     if found.overflowed is not None:

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION
 from gpusimbench.evaluator.results.toss_ranking import Ranked, configuration, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
 
-_UNKNOWN = "no run of this configuration has errors against measured tosses"
+_UNKNOWN = "no run of this configuration has errors against tosses"
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Fastest:
     scene, device  of all of them
     first, second  of them no run is INVALID, and no check of mechanics and no law in closed form broken, in any scene,
                    and their throughput meets the protocol's rules on the timed window and on evidence of work; where
-                   errors against measured tosses are known, theirs cannot be told apart from the smallest; None where
+                   errors against tosses are known, theirs cannot be told apart from the smallest; None where
                    nobody is left
     faster         groups with a higher throughput that are not named first, each with the reason: of the groups of one
                    simulator with one kind of reason, the fastest

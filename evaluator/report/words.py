@@ -27,6 +27,7 @@ from gpusimbench.evaluator.results.validity import BufferUse, Counted, OverflowS
 from gpusimbench.evaluator.runs.groups import Group, shown_status
 from gpusimbench.evaluator.statistics.floor import Floor
 from gpusimbench.evaluator.statistics.regimes import RegimeProbabilities
+from gpusimbench.schemas.text import plural
 
 
 def trouble(group: Group[Described]) -> str:
@@ -102,7 +103,7 @@ def shared(fps: Estimate) -> str:
     """The runs of a throughput with another process on their GPU: "2 of 10 runs: 0, 1"; empty without any."""
     told = fps.of(Throughput).co_tenants or ()
     found = [str(one.run) for one in told if one.presence is Presence.SOME]
-    return f"{len(found)} of {len(told)} runs: {', '.join(found)}" if found else ""
+    return f"{len(found)} of {plural(len(told), 'run')}: {', '.join(found)}" if found else ""
 
 
 def model(found: MemoryModel) -> str:

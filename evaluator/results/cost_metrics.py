@@ -26,6 +26,7 @@ from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, each, missing, over_runs
 from gpusimbench.evaluator.results.speeds import Speeds, speeds_of
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.text import plural
 
 _NOT_SAMPLED = "the timed phase was left out, or no memory was sampled in it"
 
@@ -158,7 +159,7 @@ def _device(metric: Metric, group: GroupRuns) -> Estimate:
     found = over_runs(metric, group, f"{metric.method}, of runs without a known co-tenant" if shared else "")
     if not isinstance(found.value, Missing) or not group.runs or _no_gpu(group.runs[0]) is not None:
         return found
-    why = f"another process was on the GPU in {shared} of {len(group.runs)} runs" if shared else _NOT_SAMPLED
+    why = f"another process was on the GPU in {shared} of {plural(len(group.runs), 'run')}" if shared else _NOT_SAMPLED
     return missing(metric, why, _device_memory(group))
 
 

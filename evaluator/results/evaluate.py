@@ -52,7 +52,7 @@ from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL
-from gpusimbench.schemas.text import few
+from gpusimbench.schemas.text import few, plural
 
 
 @dataclass(frozen=True)
@@ -266,8 +266,8 @@ def _use_reference(run: Run) -> tuple[Reference | None, str]:
         return None, f"the reference {name} cannot be used: {run.positions.reason}"
     if run.doubt and run.doubt.wrong:
         return None, f"the reference {name} cannot be used: {run.doubt.text}: record it again with --unit"
-    label = f"{len(planar)} real trials" if measured else f"{c.simulator} with {c.n_env} envs, dt {c.dt:g} s"
-    label = tosses.name() if tosses else label
+    label = tosses.name() if tosses else plural(len(planar), "real trial") if measured else ""
+    label = label or f"{c.simulator} with {plural(c.n_env, 'env')}, dt {c.dt:g} s"
     return Reference(label, run.path, run.provenance.run_id, measured, c.scene, planar, tosses=tosses), ""
 
 

@@ -100,48 +100,48 @@ TOSS_POSITION = Metric(
     "thrown cube ([how to](how-to/cube-toss.md)): distance between the simulated and the measured centre, mean over "
     "the measured rows (points in time) of a toss after the first row, then over tosses. `tracking_floor`: the same "
     "distance for a cube in free fall before the first contact; no simulation can be closer to the measurement",
-    method="distance between simulated and measured centres, mean over the rows of a toss", table=Table.REALITY,
+    method="distance from the simulated centre to the toss's, mean over the rows of a toss", table=Table.REALITY,
     of_group=_of("position", _CM), interval=_INTERVAL, optional=True,
 )  # fmt: skip
 
 TOSS_ROTATION = Metric(
     "toss_rotation", "error of rotation", "deg", Direction.LOWER,
     "angle of the rotation from the measured to the simulated orientation, mean as for `toss_position`",
-    method="angle between simulated and measured orientations, mean over the rows of a toss", table=Table.REALITY,
+    method="angle from the simulated orientation to the toss's, mean over the rows of a toss", table=Table.REALITY,
     of_group=_of("rotation", _DEGREES), interval=_INTERVAL, optional=True,
 )  # fmt: skip
 
 TOSS_END_POSITION = replace(
     TOSS_POSITION, name="toss_end_position", title="error of position at the end",
     docs="distance between the centres at the last measured row of each toss",
-    method="distance between simulated and measured centres at the last row of a toss",
+    method="distance from the simulated centre to the toss's at its last row",
     of_group=_of("end_position", _CM),
 )  # fmt: skip
 
 TOSS_END_ROTATION = replace(
     TOSS_ROTATION, name="toss_end_rotation", title="error of rotation at the end",
     docs="angle between the orientations at the last measured row of each toss",
-    method="angle between simulated and measured orientations at the last row of a toss",
+    method="angle from the simulated orientation to the toss's at its last row",
     of_group=_of("end_rotation", _DEGREES),
 )  # fmt: skip
 
 TOSS_FACE = replace(
     TOSS_POSITION, name="toss_face", title="same face up", unit="%", direction=Direction.HIGHER,
     docs="share of tosses that end with the same face up as measured; guessing gives 1 in 6",
-    method="tosses whose last row has the measured face up", of_group=_of("end_face", 100.0),
+    method="tosses whose simulation ends with the same face up", of_group=_of("end_face", 100.0),
 )  # fmt: skip
 
 TOSS_REST = replace(
     TOSS_POSITION, name="toss_rest", title="error of time to rest", unit="s", direction=Direction.NEITHER,
     docs="time after which the cube stays slower than 3 cm/s and 0.3 rad/s, minus that of the measured toss; if the "
     "simulated cube still moves at the last measured row, the time of that row is used, a lower bound",
-    method="time to rest less the measured one", of_group=_of("rest_time", 1.0),
+    method="time to rest less that of the toss", of_group=_of("rest_time", 1.0),
 )  # fmt: skip
 
 TOSS_ENERGY = replace(
     TOSS_POSITION, name="toss_energy", title="error of energy", unit="mJ",
     docs="absolute difference of the mechanical energies of a uniform cube, mean over the rows of a toss",
-    method="difference of simulated and measured mechanical energy, absolute, mean over the rows of a toss",
+    method="difference of the simulated mechanical energy from the toss's, absolute, mean over the rows of a toss",
     of_group=_of("energy", _MJ),
 )  # fmt: skip
 
@@ -157,14 +157,14 @@ TOSS_LOCAL_POSITION = replace(
     "distance between the centres k rows later, just before the next setting. Mean over the settings of a toss, then "
     "over tosses with more than k rows. An early error is thus no part of later ones. `tracking_floor`: the same for a "
     "cube in free flight, over the settings with k rows of it",
-    method="distance between the centres k rows after the cube was set to a measured row, mean over a toss",
+    method="distance between the centres k rows after the cube was set to a row of the toss, mean over a toss",
     of_group=_local("position", _CM),
 )  # fmt: skip
 
 TOSS_LOCAL_ROTATION = replace(
     TOSS_LOCAL_POSITION, name="toss_local_rotation", title="local error of rotation", unit="deg",
     docs="angle between the orientations k rows after a setting, as for `toss_local_position`",
-    method="angle between the orientations k rows after the cube was set to a measured row, mean over a toss",
+    method="angle between the orientations k rows after the cube was set to a row of the toss, mean over a toss",
     of_group=_local("rotation", _DEGREES),
 )  # fmt: skip
 

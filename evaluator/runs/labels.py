@@ -11,7 +11,7 @@ from typing import Any
 from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.runs.groups import GroupKey, precisions
 from gpusimbench.schemas.provenance import engine_name
-from gpusimbench.schemas.text import cut, first
+from gpusimbench.schemas.text import cut, first, plural
 from gpusimbench.schemas.treatment import initial_words
 from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS, shown_seeds
 
@@ -235,8 +235,8 @@ def _protocol_note(key: GroupKey, usual: tuple[int, int] | None) -> tuple[str, .
     if usual is None or not key.timed_steps or (key.warmup, key.timed_steps) == usual:
         return ()
     return (
-        f"timed over {key.timed_steps:,} steps after {key.warmup:,} warm-up steps, others of {key.scene} over "
-        f"{usual[1]:,} after {usual[0]:,}: throughput not comparable",
+        f"timed over {plural(key.timed_steps, 'step', spec=',')} after {key.warmup:,} warm-up steps, others of "
+        f"{key.scene} over {usual[1]:,} after {usual[0]:,}: throughput not comparable",
     )
 
 

@@ -25,6 +25,7 @@ from gpusimbench.evaluator.runs.positions import in_env_frame
 from gpusimbench.schemas import arrays, checks
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.tosses import GROUP, ODD, TOSSES, TossSet, judged_on
 from gpusimbench.schemas.treatment import GIVEN, TEACHER, Intervention
 
@@ -58,7 +59,7 @@ class MeasuredTosses:
 
     def name(self) -> str:
         """For tables and sentences."""
-        return f"{len(self.known.rows)} tosses: {self.known.source}"
+        return f"{plural(len(self.known.rows), 'toss', 'tosses')}: {self.known.source}"
 
 
 def measured_tosses(recording: Recording) -> MeasuredTosses | None:
@@ -92,7 +93,7 @@ def errors_of(recording: Recording, measured: MeasuredTosses, only: str = "") ->
     only  EVEN or ODD, instead of the tosses that it is judged by
     """
     if settings := set_every(recording.configuration):
-        return Missing(f"it is set to the measured tosses every {settings} steps: it has local errors")
+        return Missing(f"it is set to the tosses every {plural(settings, 'step')}: it has local errors")
     found = _simulated(recording, measured, 1, only)
     if isinstance(found, Missing):
         return found
@@ -106,7 +107,7 @@ def local_errors_of(recording: Recording, measured: MeasuredTosses) -> LocalErro
     the tosses; the reason where they cannot be computed."""
     settings = set_every(recording.configuration)
     if not settings:
-        return Missing("it is not set to the measured tosses on the way: record with --intervene teacher@STEPS")
+        return Missing("it is not set to the tosses on the way: record with --intervene teacher@STEPS")
     found = _simulated(recording, measured, settings)
     if isinstance(found, Missing):
         return found

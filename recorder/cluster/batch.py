@@ -11,6 +11,7 @@ from typing import NamedTuple
 from gpusimbench.recorder.process.launch import Result
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.text import plural
 
 TRIES = 3
 """How often a run is begun at most, where the nodes that make it die."""
@@ -113,7 +114,7 @@ class Batch:
                 if run == self._first:
                     self._decided = True  # whoever waits for it may be the only one left to make it
                 self._changed.notify_all()
-                self.news.put(Said(f"{run.n_env} envs: run {run.run_index + 1} is begun again: {why}"))
+                self.news.put(Said(f"{plural(run.n_env, 'env')}: run {run.run_index + 1} is begun again: {why}"))
                 return
         self.end(run, lost(run, f"lost {tries} times, with the node that made it: {why}"), seconds)
 

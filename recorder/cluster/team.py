@@ -24,6 +24,7 @@ from gpusimbench.recorder.sets.series import Request
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.text import plural
 
 _PATIENCE_S = 30.0  # for the seats that others still occupy
 _LOOK_S = 0.5  # between looks at what the user wants
@@ -75,7 +76,10 @@ class Team:
         by_agent = {seat.agent: seat for seat in seats}
         agents, busy = self._cluster.wait_ready(list(by_agent), limit=_PATIENCE_S)
         if busy and not agents:
-            say(f"others use all that this cluster has ({len(busy)} runs at a time); waiting until something is free")
+            say(
+                f"others use all that this cluster has ({plural(len(busy), 'run')} at a time); waiting until "
+                "something is free"
+            )
         while busy and not agents:
             agents, busy = self._cluster.wait_ready(busy, limit=_PATIENCE_S)
         there = [by_agent[agent] for agent in agents]
@@ -91,11 +95,14 @@ class Team:
             if seat not in self._seats:
                 seat.close()
         nodes = len({seat.spot.node.id for seat in self._seats})
-        say(f"{len(self._seats)} runs at a time on {nodes} nodes of the cluster")
+        say(f"{plural(len(self._seats), 'run')} at a time on {plural(nodes, 'node')} of the cluster")
         if busy:
-            say(f"left out, since others use them: room for {len(busy)} runs")
+            say(f"left out, since others use them: room for {plural(len(busy), 'run')}")
         if other := len(there) - len(self._seats):
-            say(f"left out, as machines or packages of another kind: room for {other} runs (--ray-resource chooses)")
+            say(
+                f"left out, as machines or packages of another kind: room for {plural(other, 'run')} "
+                "(--ray-resource chooses)"
+            )
         return self
 
     def __exit__(self, *details: object) -> None:

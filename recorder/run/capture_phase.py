@@ -8,7 +8,7 @@ from functools import partial
 from gpusimbench.recorder import interruption
 from gpusimbench.recorder.capture.actions import ActionWriter
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
-from gpusimbench.recorder.capture.kept import KeptStates
+from gpusimbench.recorder.capture.in_memory import StatesInMemory
 from gpusimbench.recorder.capture.ranges import row_bytes
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
@@ -115,7 +115,7 @@ class CapturePhase:
         kept = None
         if c.capture == "memory":
             n_action = len(simulator.scene.actions.joints) if simulator.scene.actions else 0
-            kept = KeptStates(
+            kept = StatesInMemory(
                 description.fields, n_env=c.n_env, rows=c.captured_steps + 1, n_action=n_action, workers=writer.workers
             )
 
@@ -175,7 +175,7 @@ class CapturePhase:
         clock.written()
         self._write_clock(clock, writer)
         if blocks.problem:
-            self._journal.gate(blocks.problem, "NOT_FINITE")
+            self._journal.not_finite(blocks.problem)
         self._journal.ask_gates(simulator)
         if not blocks.problem:
             write_applied(self._journal, simulator, c, c.first_step, c.captured_steps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -22,6 +23,8 @@ from gpusimbench.schemas.messages import enum_values, message_class
 
 _T = TypeVar("_T")
 
+_NUMBER = re.compile(r"\d+")
+
 _CLOCKED = {
     "build": "import of the engine, sizing of its buffers, loading of the model, allocation",
     "compile_timed": "compilation of what the timed phase runs",
@@ -34,7 +37,8 @@ class Journal:
 
     sink       of the recording
     phase      the present one
-    problems   cause and sentence of each gate that fired
+    problems   cause and sentence of each gate that fired, but for what the simulator says against itself
+    said       what that is, by phase
     shown_log  the same events for viewers; None where there are none
     """
 
@@ -42,6 +46,7 @@ class Journal:
         self.sink = sink
         self.phase = "baseline"
         self.problems: list[tuple[str, str]] = []
+        self.said: dict[str, list[str]] = {}
         self.shown_log: LogWriter | None = None
         self._events = enum_values("gsb.v1.EventKind")
 
@@ -63,10 +68,42 @@ class Journal:
         self.problems.append((cause, problem))
         self.event("GATE", problem)
 
+    def not_finite(self, problem: str) -> None:
+        """Note which state is not finite first, in place of a gate that knew only that one was not in the end."""
+        self.problems = [(cause, text) for cause, text in self.problems if cause != "NOT_FINITE"]
+        self.gate(problem, "NOT_FINITE")
+
     @property
     def worth_capturing(self) -> bool:
         """Whether states are of use: no gate fired, or a state is not finite, and those before it show why."""
-        return not self.problems or any(cause == "NOT_FINITE" for cause, _ in self.problems)
+        return not self.fired or any(cause == "NOT_FINITE" for cause, _ in self.problems)
+
+    @property
+    def fired(self) -> bool:
+        """Whether any gate did, so that the run is INVALID."""
+        return bool(self.problems or self.said)
+
+    @property
+    def reason(self) -> tuple[str, str]:
+        """Why the run is invalid, and the cause: what was found, and then what the simulator says, each warning once.
+
+        What an engine says against itself does not say of what kind it is, and may follow from the rest. A warning that
+        differs in its numbers alone is the same.
+        """
+        problems = sorted(self.problems, key=lambda problem: problem[0] == "ENGINE")
+        parts = list(dict.fromkeys(text for _, text in problems))
+        known: set[str] = set()
+        again = []
+        for phase, fired in self.said.items():
+            new = [text for text in fired if _NUMBER.sub("#", text) not in known]
+            known |= {_NUMBER.sub("#", text) for text in fired}
+            if new:
+                parts.append(f"phase {phase}: {'; '.join(dict.fromkeys(new))}")
+            else:
+                again.append(phase)
+        if again:
+            parts.append(f"the same in phase{'s' if len(again) > 1 else ''} {' and '.join(again)}")
+        return "; ".join(parts), problems[0][0] if problems else "ENGINE"
 
     def ask_gates(self, simulator: Simulator) -> None:
         """Note what the simulator says against the steps of the present phase: it may say the same of several."""
@@ -74,7 +111,7 @@ class Journal:
         for problem in fired:
             self.event("GATE", problem)
         if fired:
-            self.problems.append(("ENGINE", f"phase {self.phase}: {'; '.join(fired)}"))
+            self.said.setdefault(self.phase, []).extend(fired)
 
     def count(self, found: Evidence | None, counted: EvidenceWriter, first_step: int) -> None:
         """Write what the engine counted from `first_step` on, and note buffers that overflowed."""

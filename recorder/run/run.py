@@ -159,11 +159,8 @@ class Run:
                 raise
             error = ended or error
             return "FAILED", _reason(error, journal.phase), cause_of(error)
-        if journal.problems:
-            # what an engine says against itself does not say of what kind it is, and may follow from the rest
-            problems = sorted(journal.problems, key=lambda problem: problem[0] == "ENGINE")
-            # a gate that fires in each phase is said once
-            return "INVALID", "; ".join(dict.fromkeys(text for _, text in problems)), problems[0][0]
+        if journal.fired:
+            return "INVALID", *journal.reason
         return "COMPLETE", "", ""
 
     def _struck(self, error: BaseException, phase: str) -> GsbError | None:
@@ -266,14 +263,14 @@ class Run:
                         self._progress(COMPILE, 0, 1)
                         journal.compile(engine.simulator, "capture")
                     with Phase(journal, sampling, "capture"):
-                        before = len(journal.problems)
+                        fired, before = journal.fired, list(journal.problems)
                         captured.run(engine.simulator, description)
-                        if before and all(cause != "NOT_FINITE" for cause, _ in journal.problems[before:]):
+                        if fired and all(gate[0] != "NOT_FINITE" for gate in journal.problems if gate not in before):
                             journal.gate(_too_short(configuration), "NOT_FINITE")
                 if "timed" not in configuration.phases:
                     sampling.checkpoint("final")
                 sampling.drain()
-            if "import" in configuration.phases and isinstance(built, ModelScene) and not journal.problems:
+            if "import" in configuration.phases and isinstance(built, ModelScene) and not journal.fired:
                 sampling.use_allocator(None)
                 self._progress("import", 0, 1)
                 with Phase(journal, sampling, "import"):

@@ -85,14 +85,14 @@ def warm_up_and_time(
         journal.count(with_motion(simulator.evidence(), description.fields, state), counted, warmup + steps)
         journal.ask_gates(simulator)
         write_applied(journal, simulator, configuration, warmup, steps)
-        for again in () if journal.problems else _timed_again(engine, configuration, clocks):
+        for again in () if journal.fired else _timed_again(engine, configuration, clocks):
             journal.timing("timed", again, warmup, interval, covers)
             if evidence := simulator.evidence():
                 for fired in counted.overflowed(evidence, first_step=warmup + steps):
                     journal.gate(fired, "BUFFER")
             _ask_finite(journal, simulator.state(), configuration)
             journal.ask_gates(simulator)
-            if journal.problems:
+            if journal.fired:
                 break  # the run is INVALID, whatever else is timed
 
 

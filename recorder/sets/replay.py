@@ -28,7 +28,7 @@ from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.model_files import MODEL
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED, FromFile, Given, drawn, initial_words, snapshot_name
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
@@ -272,7 +272,7 @@ def announcement(source: Source, configuration: RunConfiguration) -> str:
     took = "" if source.ran_s is None or source.ran_s > 1e9 else f"; a run took {source.ran_s:.1f} s there"
     line = (
         f"replay of run {source.run_id[:8]}, content {source.content_hash[:12]}: {c.simulator}{given}{level}, "
-        f"{c.scene}, {c.n_env} envs, dt {c.dt:g} s, seed {c.seed}{begins}, {' and '.join(steps)}{took}"
+        f"{c.scene}, {plural(c.n_env, 'env')}, dt {c.dt:g} s, seed {c.seed}{begins}, {' and '.join(steps)}{took}"
     )
     return shown(line)
 

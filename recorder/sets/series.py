@@ -19,7 +19,7 @@ from gpusimbench.recorder.sets.task import Task, make
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import ReplayOf
-from gpusimbench.schemas.text import few
+from gpusimbench.schemas.text import few, plural
 
 Json = dict[str, Any]
 
@@ -105,7 +105,7 @@ def record_set(request: Request, count: int, maker: Maker) -> tuple[int, Json]:
     planned = runs(request.configuration, count)
     prepare_folder(request.out)
     c = request.configuration
-    title = f"{c.simulator}, {c.scene}, {c.n_env} envs, dt {c.dt:g} s, {count} runs"
+    title = f"{c.simulator}, {c.scene}, {plural(c.n_env, 'env')}, dt {c.dt:g} s, {plural(count, 'run')}"
     code = ExitCode.OK
     refused = False
     results = []
@@ -173,7 +173,10 @@ def _record_sweep(request: Request, sweep: Sweep, maker: Maker, where: str) -> t
             if interruptions.count:
                 cut = _interrupted(n_env)
             if not cut and (spared := sweep.cut_short(n_env, known)):
-                say(f"{n_env} envs: {spared} of {sweep.runs} runs are not made: they would fail as the first did")
+                say(
+                    f"{plural(n_env, 'env')}: {spared} of {sweep.runs} runs are not made: they would fail as the "
+                    "first did"
+                )
     summary = _summary(sweep, known, cut)
     below = {} if cut else sweep.failed_below_the_last(known)
     if not request.quiet:
@@ -220,7 +223,7 @@ def _interrupted(n_env: int) -> str:
 def _announce(request: Request, sweep: Sweep, there: int, others: dict[Path, str]) -> None:
     c, points = request.configuration, list(map(str, sweep.points))
     shown = points if len(points) <= _SHOWN + 2 else [*points[:_SHOWN], "...", points[-1]]
-    say(f"sweep of {c.simulator}, {c.scene}, dt {c.dt:g} s: {' '.join(shown)} envs, {sweep.runs} runs each")
+    say(f"sweep of {c.simulator}, {c.scene}, dt {c.dt:g} s: {' '.join(shown)} envs, {plural(sweep.runs, 'run')} each")
     say(f"{there} of {len(points) * sweep.runs} runs are in {request.out} already")
     if others:
         named = few([f"{path.name} ({why})" for path, why in others.items()], _SHOWN)
@@ -229,7 +232,11 @@ def _announce(request: Request, sweep: Sweep, there: int, others: dict[Path, str
 
 def _heading(sweep: Sweep, n_env: int, known: Outcomes) -> tuple[str, int, int]:
     there = len(sweep.at(n_env, known))
-    return f"{n_env} envs" + (f", {there} of {sweep.runs} runs there" if there else ""), sweep.runs, there
+    return (
+        plural(n_env, "env") + (f", {there} of {plural(sweep.runs, 'run')} there" if there else ""),
+        sweep.runs,
+        there,
+    )
 
 
 def _summary(sweep: Sweep, known: dict[Place, Outcome], cut: str) -> Json:
@@ -243,7 +250,7 @@ def _summary(sweep: Sweep, known: dict[Place, Outcome], cut: str) -> Json:
 
 def _tell(sweep: Sweep, summary: Json, below: dict[int, int]) -> None:
     if below:
-        each = ", ".join(f"{count} of {sweep.runs} at {n_env} envs" for n_env, count in below.items())
+        each = ", ".join(f"{count} of {sweep.runs} at {plural(n_env, 'env')}" for n_env, count in below.items())
         say(f"runs failed below the last point: {each}")
     most = summary["n_env_max"]
     say(f"N_env^max {'none' if most is None else most}: {summary['stopped']}")

@@ -25,6 +25,7 @@ from gpusimbench.recorder.scenes.cube_toss import EDGE, RATE
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.tosses import GROUP, MAX_TOSSES, NOTICE, TossSet
+from gpusimbench.schemas.tosses import SYNTHETIC as SYNTHETIC_SOURCE
 from gpusimbench.schemas.treatment import TEACHER, Given
 
 VARIABLE = "GSB_CUBE_TOSS"
@@ -155,7 +156,7 @@ def read_tosses(path: Path | None) -> Tosses:
 
 def _source(path: Path, sha256: str) -> str:
     if path == SYNTHETIC:
-        return "synthetic tosses, made by a simulation"
+        return SYNTHETIC_SOURCE
     return "the measured tosses of ContactNets (arXiv 2009.11193)" if sha256 == PUBLISHED else "measured tosses"
 
 

@@ -9,6 +9,7 @@ import sys
 import zipfile
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -27,6 +28,7 @@ from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.recorder.simulators.registry import BUILT_IN
 from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import call
+from tests.synthetic import grid, write_recording
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
@@ -106,6 +108,30 @@ def test_states() -> None:
     assert first_number(*_shipped("amd-r0"), *_shipped("amd-r1")) == ""
     noisy = [*_shipped("amd-r0"), *_shipped("pyramidal-r0")]
     assert judge(noisy, noisy).different is None
+
+
+def test_states_between_recorded_ones(tmp_path: Path) -> None:
+    """Say that steps between the last equal states and the first that differ are not known, where no hashes tell."""
+
+    def at(step: int, since: int, dtype: str) -> Any:
+        positions = grid(3).astype(dtype)
+        positions[1, 4, 0] += step >= since
+        return positions
+
+    one, another = (
+        Recording(
+            write_recording(
+                tmp_path, at(30, since, dtype), steps=30, stride=10, name=f"{dtype}.mcap",
+                path_of=lambda _, step, since=since, dtype=dtype: at(step, since, dtype),
+            )
+        )
+        for dtype, since in (("float64", 99), ("float32", 13))
+    )  # fmt: skip
+    found = predicate_of("states")([one], [another])
+    assert found.evidence == (
+        "from step 20 on; equal up to step 10, no step in between is known; bodies up to 100 cm apart at 30 s, "
+        "1 mm at 20 s"
+    )
 
 
 @pytest.mark.parametrize(("code", "different"), [(0, False), (1, True), (3, True), (125, None)])

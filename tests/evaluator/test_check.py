@@ -68,7 +68,7 @@ def test_a_set_that_follows_the_protocol() -> None:
     assert report.unchecked == ()
     fewer = check(files[:9], [PROTOCOL])
     assert [(f.rule.id, f.found) for f in fewer.findings if f.rule.level is Level.error] == [
-        ("runs", "9 of 9 files count, 10 are needed")
+        ("runs", "9 of 9 files counted, 10 are needed")
     ]
     assert fewer.exit_code == ExitCode.GATE_FAILED
 
@@ -210,7 +210,7 @@ def test_every_rule_of_the_protocol_says_what_is_wrong(gsb_check: Command, small
     """Print what is wrong and what to do of a broken rule, and not a sentence that reads as if the rule held."""
     assert all(rule.broken and rule.broken != rule.requires for rule in PROTOCOL.rules)
     said = " ".join(gsb_check("--protocol", small).stdout.split())
-    assert "error runs: The point has fewer than 10 complete runs; 1 of 1 files count, 10 are needed in" in said
+    assert "error runs: The point has fewer than 10 complete runs; 1 of 1 file counted, 10 are needed in" in said
     assert "error timed-steps: Fewer than 100 timed steps have clocks; found" in said
     assert "Fix: Record with --timed-steps 100 or more." in said
     assert "At least 100 steps are timed" not in said

@@ -34,6 +34,7 @@ from gpusimbench.evaluator.runs.physics.facts import Check, PhysicsFacts, measur
 from gpusimbench.evaluator.runs.state_hashes import histories_of
 from gpusimbench.evaluator.share.leaderboard import words as board_words
 from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reproduction
+from gpusimbench.schemas.text import plural
 
 THREE = st.lists(st.sampled_from([True, False, None]), max_size=5)
 """What is known of some parts: any mixture of yes, no and not compared, and no part at all."""
@@ -108,7 +109,7 @@ def test_the_verdicts_of_a_report(groups: list[tuple[float | None, int]]) -> Non
             metrics={name: _estimate(name, value, n) for name in ("distinct_envs", "distinct_runs")} | {
                 name: _estimate(name, None, 0) for name in METRICS if name not in ("distinct_envs", "distinct_runs")
             },
-            group=SimpleNamespace(key=SimpleNamespace(determinism="default")),
+            group=SimpleNamespace(key=SimpleNamespace(determinism="default"), complete=(None,) * n),
         )
         for value, n in groups
     ]  # fmt: skip
@@ -117,7 +118,9 @@ def test_the_verdicts_of_a_report(groups: list[tuple[float | None, int]]) -> Non
         assert answer.text == ("not compared" if not compared else "yes" if set(compared) == {1.0} else "no")
         if len(compared) > 1:
             of = compared.count(2.0)
-            said = f"{of} of {len(compared)} groups" if of else f"all {len(compared)} groups"
+            left = len(groups) - len(compared)
+            without = f", {plural(left, 'group')} not compared" if left else ""
+            said = f"{of} of {len(compared)} groups" if of else f"all {len(compared)} groups{without}"
             assert answer.notes == (said,)
 
 

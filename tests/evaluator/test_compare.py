@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -476,7 +476,18 @@ def test_what_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert reason == f"{said} cone: unset -> pyramidal; --across cone compares the two"
     far = write_recording(base, None, n_env=9, dt=0.5, change=stamped(97))
     of_far = compared(base, head, capsys=capsys)[1]["without_partner"][1]["reason"]
-    assert of_far == f"{said} n_env: 9 -> 1, dt: 0.5 -> 1.0, cone: unset -> pyramidal"
+    across = "--across n_env --across dt --across cone"
+    assert of_far == f"{said} n_env: 9 -> 1, dt: 0.5 -> 1.0, cone: unset -> pyramidal; {across} compares the two"
+    far.unlink()
+
+    def begun_otherwise(name: str, record: dict[str, Any]) -> None:
+        stamped(97)(name, record)
+        if name == PROVENANCE:
+            record["configuration"]["initial"] = "random:0.1"
+
+    far = write_recording(base, None, n_env=9, change=begun_otherwise)
+    of_far = compared(base, head, capsys=capsys)[1]["without_partner"][1]["reason"]
+    assert "initial: " in of_far and "--across" not in of_far  # which takes no initial states
     far.unlink()
     more = write_recording(base, None, n_env=9, change=stamped(98))
     code, document = compared(base, head, "--across", "cone", capsys=capsys)
@@ -544,6 +555,29 @@ def test_several_edited_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert not document["without_partner"]
     assert [len(one["differs"]) for one in document["compared"]] == [1, 1]
     assert all("description of the scene" in one["differs"][0] for one in document["compared"])
+
+
+def test_another_time_step(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compare two time steps where that is asked for: bodies at one time, and no bits; say that steps are not equal."""
+
+    def moving(dt: float) -> Callable[[Any, int], Any]:
+        return lambda _, step: grid(2) + np.array([step * dt, 0.0, 0.0])
+
+    for run in range(2):
+        for side, dt, steps in (("base", 0.01, 4), ("head", 0.005, 8)):
+            (tmp_path / side).mkdir(exist_ok=True)
+            write_recording(
+                tmp_path / side, moving(dt)(None, steps), run=run, dt=dt, steps=steps, path_of=moving(dt), elapsed_s=1.0
+            )
+    code, document = compared(tmp_path / "base", tmp_path / "head", capsys=capsys)
+    assert code == 5
+    assert document["without_partner"][0]["reason"].endswith("dt: 0.01 -> 0.005; --across dt compares the two")
+    _, document = compared(tmp_path / "base", tmp_path / "head", "--across", "dt", capsys=capsys)
+    assert "dt: 0.01 -> 0.005" in document["compared"][0]["differs"]
+    assert finding(document, "outcome")["change"] == "same"
+    assert finding(document, "states")["change"] == "not compared"
+    said = "throughput is NOT comparable: it counts steps of 0.01 s in base, and of 0.005 s in head"
+    assert said in document["compared"][0]["warnings"]
 
 
 def test_versions_are_what_is_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -81,7 +81,7 @@ def test_no_zero_for_a_run_alone() -> None:
     """Give no increment of a run whose device held less at its peak than at the baseline, not 0.0."""
     result = only(shipped("isaaclab-newton", 1))
     device, own = (result.metrics[metric] for metric in GPU_MEMORY)
-    assert (device.value, device.n) == (Missing("another process was on the GPU in 1 of 1 runs"), 0)
+    assert (device.value, device.n) == (Missing("another process was on the GPU in 1 of 1 run"), 0)
     assert own.value == pytest.approx(0.820, abs=5e-4)
 
 

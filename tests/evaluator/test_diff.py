@@ -366,6 +366,35 @@ def test_an_exponential_is_measured(tmp_path: Path) -> None:
     assert growth.max_planar[50] == pytest.approx(1e-8 * np.exp(9 * 0.8), rel=1e-4)
 
 
+def test_bodies_that_fell_off_are_in_no_growth(tmp_path: Path) -> None:
+    """Measure the growth of cubes on the board, not of those that fell, in a or in b; of all if all fell in the end."""
+
+    def moved(side: int, fall: slice) -> Path3:
+        def at(step: int) -> NDArray[Any]:
+            positions = grid(2)
+            if side and step >= 10:
+                positions[1, 4, 0] += 1e-8 * np.exp(9.0 * (step - 10) * 0.02)
+            if step >= 5:
+                positions[:, fall] += (0.8e-3 * side, 0.0, -4.905 * (step * 0.02) ** 2)
+            return positions
+
+        return at
+
+    a, b = (record(tmp_path, moved(side, slice(7, 8)), steps=60, dt=0.02) for side in (0, 1))
+    growth = compare(a, b).growth
+    assert growth
+    assert growth.fit
+    assert (growth.fallen, growth.fit.rate, growth.to_1mm) == (2, pytest.approx(9.0, rel=1e-4), None)
+    assert growth.max_spatial[60] == pytest.approx(0.8e-3, rel=1e-4)
+    assert growth.largest[60] == growth.max_not_fallen[60] == pytest.approx(1e-8 * np.exp(9), rel=1e-4)
+
+    a, c = (record(tmp_path, moved(side, slice(27 * side)), steps=60, dt=0.02) for side in (0, 1))
+    growth = compare(a, c).growth
+    assert growth
+    assert (growth.fallen, growth.max_not_fallen) == (54, ())
+    assert growth.largest == growth.max_spatial
+
+
 def test_contacts_at_the_divergence(tmp_path: Path) -> None:
     """Show the counters of both at the first differing step."""
     counts = [Shown({"capture": {"contacts": np.arange(STEPS * 3).reshape(STEPS, 3) + more}}) for more in (0, 6)]

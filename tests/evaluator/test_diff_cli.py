@@ -210,8 +210,8 @@ def test_a_picture_of_hashes_alone(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (["a", "b", "c"], "3 recordings were given"),
-        (["a", "--env", "1"], "1 environments were given"),
-        (["a", "b", "--env", "1", "--env", "2", "--env", "3"], "3 environments were given"),
+        (["a", "--env", "1"], "1 environment given: with"),
+        (["a", "b", "--env", "1", "--env", "2", "--env", "3"], "3 environments given"),
         (["a", "b", "--plot", "growth.png"], "--plot draws SVG"),
         (["a", "--json", "b.mcap"], "named like a recording"),
     ],

@@ -149,11 +149,11 @@ def test_set_states_are_no_merit(evaluation: Evaluation) -> None:
 def test_outputs(reference: Path, runs: dict[str, Path], gsb_eval: Command) -> None:
     """Show the errors, the rows and the floor, with whole tosses and without them."""
     both = gsb_eval(reference, runs["10"], runs["free"], "--all").stdout
-    assert "Errors against measured tosses" in both
+    assert "Errors against synthetic tosses" in both
     alone = gsb_eval(reference, runs["10"], runs["1"], "--all").stdout
-    assert "Errors against measured tosses" not in alone
+    assert "Errors against synthetic tosses" not in alone
     for shown in (both, alone):
-        assert "Local errors against measured tosses" in shown
+        assert "Local errors against synthetic tosses" in shown
     short = gsb_eval(reference, runs["10"]).stdout
     assert "cm after 10 rows" in short
     record = json.loads(gsb_eval(reference, runs["10"], "--json", "-").stdout)

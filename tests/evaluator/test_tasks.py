@@ -51,7 +51,7 @@ def test_the_first_page_of_tasks(tmp_path: Path, gsb_eval: Command) -> None:
     for n in (2, 4, 8):
         _recorded(tmp_path / f"{n}.mcap", n)
     shown = " ".join(gsb_eval(tmp_path, "--html", tmp_path / "report").stdout.split())
-    assert "[n_env=2]: episodes: none ended within the 12 recorded steps" in shown
+    assert "[n_env=2]: episodes: none ended within the 6 recorded steps of 2 environments" in shown
     assert "with intervals: gsb-episodes, by number of environments with --across n_env." in shown
     assert "N_env^max" not in shown  # nothing was timed, so no limit of the simulator was looked for
     page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")

@@ -111,7 +111,7 @@ def test_numbers_between_recorded_states_are_not_known(tmp_path: Path) -> None:
     rung = _verdict(found, a, b).rungs[2]
     assert (rung.level, rung.holds) == (Level.WITHIN_ULPS, None)
     assert "over 2 recorded steps" in rung.said
-    assert "state hashes differ at 1 steps of which no state was recorded" in rung.said
+    assert "state hashes differ at 1 step of which no state was recorded" in rung.said
 
 
 def test_a_phase_that_is_not_there_is_named(tmp_path: Path) -> None:

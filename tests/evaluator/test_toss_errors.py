@@ -257,6 +257,15 @@ def test_the_first_screen_says_what_distances_are_to() -> None:
     tosses = section(Source(found, False, ""))
     assert tosses is not None
     assert tosses.summary.startswith(f"{said}; 1 group; ")
+    assert tosses.title == "Accuracy: synthetic tosses"
+    reference = found.reference
+    assert reference is not None
+    assert reference.tosses is not None
+    known = replace(reference.tosses.known, source="measured tosses")
+    measured = replace(found, reference=replace(reference, tosses=replace(reference.tosses, known=known)))
+    tosses = section(Source(measured, False, ""))
+    assert tosses is not None
+    assert tosses.title == "Accuracy: measured tosses"
 
 
 def test_a_throughput_belongs_to_the_errors_of_its_configuration() -> None:
@@ -289,7 +298,7 @@ def test_a_throughput_belongs_to_the_errors_of_its_configuration() -> None:
     assert one.first is not None
     assert (one.first.result.group.key.simulator, one.first.fps) == ("warp", 4096 * 2e5)
     why = {speed.result.label: reason for speed, reason in one.faster}
-    unknown = "no run of this configuration has errors against measured tosses"
+    unknown = "no run of this configuration has errors against tosses"
     assert [reason for label, reason in why.items() if "none" in label] == [unknown]
     assert sum(reason.startswith("less accurate") for reason in why.values()) == 2
 
@@ -321,8 +330,8 @@ def test_outputs(reference: Path, runs: dict[str, Path], tmp_path: Path, gsb_eva
         reference, runs["elliptic"], runs["pyramidal"], "--all", "--html", tmp_path, "--json", tmp_path / "e.json"
     )
     assert done.returncode == 0, done.stderr
-    assert "Errors against measured tosses" in done.stdout
-    assert "The measurement itself leaves" in done.stdout
+    assert "Errors against synthetic tosses" in done.stdout
+    assert "The rows of the set leave" in done.stdout
     record = json.loads((tmp_path / "e.json").read_text(encoding="utf-8"))
     extra = record["groups"][0]["metrics"]["toss_position"]["extra"]
     assert extra["tosses"] == 48

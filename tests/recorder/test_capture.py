@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gpusimbench import RecordingWriter, open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.recorder.capture.kept import KeptStates
+from gpusimbench.recorder.capture.in_memory import StatesInMemory
 from gpusimbench.recorder.capture.ranges import env_block
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
@@ -312,7 +312,7 @@ def test_kept_blocks_have_all_that_was_shown() -> None:
     """Keep states, counts and the engine's own actions, in memory of their own."""
     n_env, given = 130, states(5, 130)
     counts, actions = np.arange(5 * n_env).reshape(5, n_env), np.ones((5, n_env, 3), dtype=np.float32)
-    kept = KeptStates(FIELDS, n_env=n_env, rows=5, n_action=3, workers=Workers(small=False))
+    kept = StatesInMemory(FIELDS, n_env=n_env, rows=5, n_action=3, workers=Workers(small=False))
     expected = [array.copy() for array in given]
     kept.keep(Block(0, Held(given, Evidence({"contacts": counts}), actions), None))
     for array in (*given, counts, actions):
@@ -334,7 +334,7 @@ def test_memory_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """Refuse to keep states that the machine has no memory for, before the first step."""
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=1000))
     with pytest.raises(NoHostMemory, match="capture fewer steps, or lossless") as raised:
-        KeptStates(FIELDS, n_env=10, rows=100, n_action=0, workers=Workers(small=True))
+        StatesInMemory(FIELDS, n_env=10, rows=100, n_action=0, workers=Workers(small=True))
     assert cause_of(raised.value) == "HOST_MEMORY"
 
 

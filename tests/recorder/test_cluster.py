@@ -521,7 +521,7 @@ def test_the_commands_of_the_guide(tmp_path: Path) -> None:
         str(path.relative_to(tmp_path)) for path in (tmp_path / "runs").iterdir()
     )
     said = done.stderr.splitlines()
-    assert said[0] == "1 runs at a time on 1 nodes of the cluster"
+    assert said[0] == "1 run at a time on 1 node of the cluster"
     assert said[-1] == "N_env^max 2: 2 is the end of the sweep"
     assert not [text for text in said if "ray" in text.lower() or "token" in text.lower()]
     assert not list(scratch.iterdir())

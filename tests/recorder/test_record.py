@@ -354,6 +354,13 @@ def test_switches_of_common_options(gsb_record: Command, tmp_path: Path) -> None
     assert recording.simulation.options["solver"] == "CG"
 
 
+def test_a_single_run_is_no_plural(gsb_record: Command, tmp_path: Path) -> None:
+    """Announce one run of one environment, and two of two."""
+    for count, said in ((1, "1 env, dt 0.01 s, 1 run"), (2, "2 envs, dt 0.01 s, 2 runs")):
+        done = gsb_record("--sim", "mujoco", "--n-env", count, "--runs", count, *SMALL, "--out", tmp_path)
+        assert done.stderr.splitlines()[0] == f"mujoco, inclined-collision, {said}"
+
+
 def test_json_result(gsb_record: Command, tmp_path: Path) -> None:
     """Print results as JSON alone on standard output."""
     done = gsb_record("--sim", "mujoco", "--n-env", 1, "--runs", 2, *SMALL, "--json", "--out", tmp_path)

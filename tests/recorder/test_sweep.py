@@ -309,7 +309,7 @@ def test_a_sweep_and_its_continuation(gsb_record: Command, tmp_path: Path) -> No
     assert sorted(first.stdout.split()) == sorted(map(str, tmp_path.iterdir()))
     assert first.stderr.splitlines()[:3] == [
         "sweep of mujoco, free-fall, dt 0.01 s: 1 4 8 envs, 2 runs each", f"0 of 6 runs are in {tmp_path} already",
-        "1 envs",
+        "1 env",
     ]  # fmt: skip
     assert first.stderr.splitlines()[-1] == "N_env^max 8: 8 is the end of the sweep"
     for file in tmp_path.iterdir():
@@ -577,5 +577,5 @@ def test_a_sweep_on_a_terminal(tmp_path: Path) -> None:
         stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120, env={**os.environ, "TERM": "xterm"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
-    for words in ("1 envs", "4 envs", "8 envs", "run 2/2 complete in", "N_env^max 8: 8 is the end of the sweep"):
+    for words in ("1 env", "4 envs", "8 envs", "run 2/2 complete in", "N_env^max 8: 8 is the end of the sweep"):
         assert words in done.stdout

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.runs.validation import demands
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.provenance import LOGGED, REAL, SCENE
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.treatment import Intervention
 
 _PHASE_OF = {"stall": "capture", "drain": "capture"}
@@ -93,7 +94,7 @@ def _observer(recording: Recording, problems: Problems) -> None:
     differ = timed.hashes[at_timed] != captured.hashes[at_captured]
     for step, row in zip(common, differ, strict=True):
         if row.any():
-            envs = f"{int(row.sum())} of {len(row)} environments"
+            envs = f"{int(row.sum())} of {plural(len(row), 'environment')}"
             level = recording.configuration.determinism
             problems.add(Kind.observer, f"at step {step}, in {envs}; recorded at level {level}")
 

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PR
 from gpusimbench.evaluator.check.rules.rule import Level, Rule, RuleSet, Scope
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.text import plural
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ def points(files: Sequence[Integrity]) -> Iterable[tuple[str, list[Integrity]]]:
         if key in reached or not below:
             chosen = [] if options == "{}" else [options]
             chosen += [] if determinism == "default" else [f"determinism {determinism}"]
-            yield ", ".join([f"{simulator}, {scene}, {n_env} environments", *chosen]), runs
+            yield ", ".join([f"{simulator}, {scene}, {plural(int(n_env), 'environment')}", *chosen]), runs
 
 
 def _same_but_smaller(one: tuple[str, ...], other: tuple[str, ...]) -> bool:

@@ -13,7 +13,7 @@ from typing import Any
 
 from gpusimbench.evaluator.check.rules.fact import FactType, Unknown
 from gpusimbench.evaluator.check.rules.facts import FACTS
-from gpusimbench.schemas.text import cut, few, first
+from gpusimbench.schemas.text import cut, few, first, plural
 
 _SHOWN = 3
 _NAMED = 6
@@ -156,7 +156,7 @@ def _different(values: Mapping[str, Any], what: str) -> tuple[tuple[str, tuple[s
 
 
 def _files(found: list[str]) -> str:
-    return "1 file" if len(found) == 1 else f"{len(found)} files"
+    return plural(len(found), "file")
 
 
 def _all_distinct(values: Mapping[str, Any], _: Any, __: Any) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -172,7 +172,8 @@ def _all_distinct(values: Mapping[str, Any], _: Any, __: Any) -> tuple[tuple[str
 
 def _true_in(values: Mapping[str, Any], least: int, _: Any) -> tuple[tuple[str, tuple[str, ...]], ...]:
     count = sum(bool(value) for value in values.values())
-    return () if count >= least else ((f"{count} of {len(values)} files count, {least} are needed", tuple(values)),)
+    said = f"{count} of {plural(len(values), 'file')} counted, {least} are needed"
+    return () if count >= least else ((said, tuple(values)),)
 
 
 def _by_key(

@@ -12,6 +12,7 @@ from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, group
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.text import plural
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Series:
     @property
     def heading(self) -> str:
         """Which configuration."""
-        envs = f"{self.key.n_env} env{'' if self.key.n_env == 1 else 's'}"
+        envs = plural(self.key.n_env, "env")
         scene = f"{self.key.scene} ({self.scene})" if self.scene else self.key.scene
         return f"{self.label}, {scene}, {envs}, dt {self.key.dt:g} s"
 
@@ -67,8 +68,9 @@ def series_of(points: Sequence[Point], work: Work) -> tuple[list[Series], list[s
         for (key, place), several in alike.items():
             if len(several) > 1:
                 notes.append(
-                    f"{point.label}: {len(several)} groups of {key.simulator}, {key.scene}, {key.n_env} envs were "
-                    "asked for the same, in different versions or conditions: left out, because a point is one version"
+                    f"{point.label}: {len(several)} groups of {key.simulator}, {key.scene}, {plural(key.n_env, 'env')} "
+                    "were asked for the same, in different versions or conditions: left out, because a point is one "
+                    "version"
                 )
                 continue
             of_key = found.setdefault(key, {})
@@ -121,4 +123,4 @@ def _split(series: Sequence[Series], points: Sequence[Point]) -> str:
 
 def _span(series: Series, points: Sequence[Point]) -> str:
     first, last = (points[series.entries[end].point].label for end in (0, -1))
-    return first if first == last else f"{first} to {last} ({len(series.entries)} points)"
+    return first if first == last else f"{first} to {last} ({plural(len(series.entries), 'point')})"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from gpusimbench.evaluator.render.figures import axis, lines
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
+from gpusimbench.schemas.text import plural
 
 _WIDTH, _HEIGHT = 480.0, 250.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 84.0, 18.0, 40.0, 58.0
@@ -67,7 +68,7 @@ def history_chart(
         return _LEFT + _SIDE * (at + 0.5) / len(names)
 
     shown = _named(names)
-    said = f"{value} at {len(dots)} points, {len(marks)} change{'' if len(marks) == 1 else 's'} marked"
+    said = f"{value} at {plural(len(dots), 'point')}, {plural(len(marks), 'change')} marked"
     return figure(
         _WIDTH,
         _HEIGHT,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from gpusimbench.evaluator.render.figures import axis, lines
 from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, number, open_path, text, title
+from gpusimbench.schemas.text import plural
 
 LINE_FROM = 4
 """Points of a sweep from which on a line joins them: fewer do not show what lies between."""
@@ -137,7 +138,7 @@ def _largest(curve: Curve) -> str:
     """What the legend says of N_env^max."""
     if curve.n_max is None:
         return ""
-    return f", {'max' if curve.failed else 'no failure up to'} {curve.n_max:,} envs"
+    return f", {'max' if curve.failed else 'no failure up to'} {plural(curve.n_max, 'env', spec=',')}"
 
 
 def _ideal(points: Sequence[Point], place: Callable[[float, float], Point], top: float) -> str:

@@ -54,7 +54,7 @@ def rows(found: Accumulation) -> Iterator[tuple[str, ...]]:
 
 def remarks(found: Accumulation) -> list[str]:
     """What has to be known to read them."""
-    envs = "1 environment" if found.size == 1 else f"{found.size} environments"
+    envs = plural(found.size, "environment")
     lines = [
         f"each run reduced to {envs}, mean of {found.draws} draws with seed {found.seed}; in brackets 95 % over runs",
         "distances of all environments fall with their number, as their floor does, and are not to be compared",

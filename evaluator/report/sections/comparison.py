@@ -126,10 +126,12 @@ def _values(contenders: Sequence[Contender], of: Radar) -> Table:
 def _named(contender: Contender) -> Cell:
     notes = []
     if contender.sweep and contender.sweep.n_max is not None:
-        notes.append(f"throughput and memory at {contender.sweep.n_max:,} envs of {contender.sweep.key.scene}")
+        notes.append(
+            f"throughput and memory at {plural(contender.sweep.n_max, 'env', spec=',')} of {contender.sweep.key.scene}"
+        )
     if contender.group:
         key = contender.group.group.key
-        notes.append(f"distances at {key.n_env} envs of {key.scene}")
+        notes.append(f"distances at {plural(key.n_env, 'env')} of {key.scene}")
     if contender.speed:
         notes += timed.beside(contender.speed.timed)
     return Cell(contender.figures.name, notes=tuple(notes), tone=Tone.BAD if bars(contender) else Tone.PLAIN)

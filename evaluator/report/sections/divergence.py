@@ -239,7 +239,7 @@ def _said(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
             f"window from {one.begin:g} to {one.end:g} s (R² {one.r_squared:.2f}, {one.points} points)."
         )
     elif points < chart.LINE_FROM:
-        said.append(f"States were recorded at {points} steps: too few for a line, and for a growth rate.")
+        said.append(f"States were recorded at {plural(points, 'step')}: too few for a line, and for a growth rate.")
     elif why_not := why_missing(result.metrics["divergence_rate"].value):
         said.append(f"No growth rate: {why_not.removeprefix('no rate: ')}.")
     if ends and max(ends) > 1 and any(run.board for run in result.group.recordings):

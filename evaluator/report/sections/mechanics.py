@@ -62,7 +62,7 @@ def held(result: GroupResult) -> Cell:
         return Cell("not applicable", notes=(found.why_not,), tone=Tone.QUIET)
     if not found.checkable:
         return Cell("none could be made", tone=Tone.QUIET)
-    looked = f"{found.looked_at} of {found.n_env} envs, {plural(found.runs, 'run')}"
+    looked = f"{found.looked_at} of {plural(found.n_env, 'env')}, {plural(found.runs, 'run')}"
     notes = (f"{found.not_checkable} of {DEMANDED} not checkable", found.revision.value, looked)
     tone = Tone.BAD if found.held < found.checkable else Tone.GOOD
     return Cell(f"{found.held} of {found.checkable}", found.held / found.checkable, notes=notes, tone=tone)

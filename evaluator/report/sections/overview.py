@@ -182,7 +182,7 @@ def _speed_alone(results: Sequence[GroupResult]) -> Iterator[Facts]:
 
 def _speed(result: GroupResult) -> Cell:
     said = ranked(result.metrics[FPS.name])
-    return replace(said, notes=(f"{result.label}, {result.group.key.n_env:,} envs", *said.notes))
+    return replace(said, notes=(f"{result.label}, {plural(result.group.key.n_env, 'env', spec=',')}", *said.notes))
 
 
 def _where(found: Fastest) -> Cell:
@@ -193,7 +193,7 @@ def _named(speed: Speed | None) -> Cell:
     if speed is None:
         return Cell("none", tone=Tone.QUIET)
     fps, key = ranked(speed.result.metrics[FPS.name]), speed.result.group.key
-    return Cell(f"{key.simulator}: {fps.text}", notes=(f"{key.n_env:,} envs", *fps.notes))
+    return Cell(f"{key.simulator}: {fps.text}", notes=(plural(key.n_env, "env", spec=","), *fps.notes))
 
 
 def _barred(found: Fastest, results: Sequence[GroupResult]) -> Cell:

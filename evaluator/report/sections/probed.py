@@ -69,7 +69,9 @@ def _price(arms: Arms, prices: Sequence[Family]) -> str:
         same = (own.simulator, own.scene, own.options) == (key.simulator, key.scene, json.loads(key.options))
         if same and price.level == key.determinism and price.result.group.key.device == key.device:
             said = price.speed.why_not or ratio(price.speed)
-            return f"Throughput with {own.n_env:,} environments, relative to the default level: {said}."
+            return (
+                f"Throughput with {plural(own.n_env, 'environment', spec=',')}, relative to the default level: {said}."
+            )
     return ""
 
 
@@ -103,9 +105,9 @@ def evidence(finding: Finding) -> str:
 
 
 def _found(found: Found) -> str:
-    pairs = f"{found.pairs} pair{'' if found.pairs == 1 else 's'}"
+    pairs = f"{plural(found.pairs, 'pair')}"
     if found.level is Level.BIT_IDENTICAL:
-        return f"bit-identical: {pairs}, {found.steps} step{'' if found.steps == 1 else 's'}"
+        return f"bit-identical: {pairs}, {plural(found.steps, 'step')}"
     parts = [f"from step {found.first_step}, {found.differing} of {pairs}"]
     if found.first is not None:
         first = found.first

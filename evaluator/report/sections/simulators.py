@@ -53,7 +53,7 @@ def _blocks(source: Source, results: list[GroupResult]) -> Iterator[Block]:
         fastest = max(hidden, key=lambda r: ranked_throughput(r.metrics[FPS.name]))
         speed = ranked(fastest.metrics[FPS.name]).text
         said = f"{plural(len(hidden), 'group')} of sweeps, {sizes[0]:,} to {sizes[-1]:,} envs"
-        said = f"{said}; fastest: {speed} {FPS.unit} at {fastest.group.key.n_env:,} envs: see scaling"
+        said = f"{said}; fastest: {speed} {FPS.unit} at {plural(fastest.group.key.n_env, 'env', spec=',')}: see scaling"
         lines.append(Item(said, link="scaling"))
     if probed := len([r for r in results if r in source.shown]) - len(shown):
         said = f"{plural(probed, 'group')} of runs that only gsb-probe needs: see what results depend on"

@@ -1,4 +1,4 @@
-"""Errors against measured tosses: a row for each group, the most accurate first, each compared with the first."""
+"""Errors against tosses: a row for each group, the most accurate first, each compared with the first."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gpusimbench.evaluator.results.toss_metrics import (
 from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, ranked
 
 _LEGEND = (
-    "Each simulated toss is compared with the measured toss from whose first state it began, at the measured rows.",
+    "Each simulated toss is compared with the toss of the set from whose first state it began, at the rows of the set.",
     "95 % intervals: tosses resampled.",
     "more than the first: mean over tosses of the error less that of the first group, toss by toss; p: sign-flip "
     "permutation test, adjusted by Holm's method for all rows; visible: the smallest difference that these tosses show "
@@ -35,7 +35,7 @@ _LEGEND = (
 
 
 _LOCAL_LEGEND = (
-    "The cube is set to each k-th measured row, and is compared with the measured row k rows later, just before it is "
+    "The cube is set to each k-th row of the set's toss, and is compared with the row k rows later, just before it is "
     "set again. An early error is no part of later ones.",
     "95 % intervals: tosses resampled.",
 )
@@ -48,7 +48,12 @@ def section(source: Source) -> Section | None:
     if local:
         blocks.append(local)
         said = "; ".join(filter(None, (said, f"{plural(len(local.rows), 'group')} with local errors")))
-    return Section("tosses", "Accuracy: measured tosses", tuple(blocks), said, folded=True) if blocks else None
+    return Section("tosses", f"Accuracy: {_kind(source)}", tuple(blocks), said, folded=True) if blocks else None
+
+
+def _kind(source: Source) -> str:
+    reference = source.evaluation.reference
+    return reference.tosses.known.kind if reference and reference.tosses else "tosses"
 
 
 def _local(source: Source) -> Grid | None:
@@ -60,11 +65,12 @@ def _local(source: Source) -> Grid | None:
     found.sort(key=lambda r: (_details(r).rows or 0, known(r.metrics[TOSS_LOCAL_POSITION.name].value) or 0.0))
     reasons = Reasons()
     columns = [column_of(metric, reasons) for metric in TOSS_LOCAL_METRICS]
-    columns.insert(0, (Column("rows", "measured rows from each setting on"), lambda r: _number(_details(r).rows)))
+    columns.insert(0, (Column("rows", "rows of the toss from each setting on"), lambda r: _number(_details(r).rows)))
     columns.append((Column("tosses", "that have more rows"), lambda r: _number(_details(r).tosses)))
     for metric in TOSS_LOCAL_METRICS:
         columns.append(_measured_floor(metric))
-    return of_groups(source, "local", "Local errors against measured tosses", found, columns, reasons, _LOCAL_LEGEND)
+    title = f"Local errors against {_kind(source)}"
+    return of_groups(source, "local", title, found, columns, reasons, _LOCAL_LEGEND)
 
 
 def _details(result: GroupResult) -> OverTosses:
@@ -80,8 +86,11 @@ def _measured_floor(metric: Metric) -> tuple[Column, Written]:
         floor = result.metrics[metric.name].of(OverTosses).tracking_floor
         return EMPTY if floor is None else Cell(figure(floor, metric.unit), floor)
 
-    title = f"measurement, {metric.title.removeprefix('local error of ')} [{metric.unit}]"
-    return Column(title, "the same error of a cube in free flight, which no simulation can go below"), cell
+    title = f"free flight, {metric.title.removeprefix('local error of ')} [{metric.unit}]"
+    return Column(
+        title,
+        "the same error of a cube in free flight, which no simulation can go below",
+    ), cell
 
 
 def _whole(source: Source, order: Sequence[Ranked]) -> tuple[list[Block], str]:
@@ -95,10 +104,9 @@ def _whole(source: Source, order: Sequence[Ranked]) -> tuple[list[Block], str]:
     front = beaten_by([one for one in order if not against[one.result.label]])
     if front:
         columns += [_throughput(order, reasons), _on_the_front(order, front, against)]
+    title = f"Errors against {_kind(source)}"
     blocks: list[Block] = [
-        of_groups(
-            source, "tosses", "Errors against measured tosses", [one.result for one in order], columns, reasons, _LEGEND
-        ),
+        of_groups(source, "tosses", title, [one.result for one in order], columns, reasons, _LEGEND),
         Text(_floor(best)),
     ]
     error = known(best.metrics[TOSS_POSITION.name].value) or 0.0
@@ -138,7 +146,7 @@ def _throughput(order: Sequence[Ranked], reasons: Reasons) -> tuple[Column, Writ
         if of is None:
             return written(result)
         found, n_env = written(of), of.group.key.n_env
-        return found if n_env == result.group.key.n_env else replace(found, notes=(*found.notes, f"{n_env} envs"))
+        return found if n_env == result.group.key.n_env else replace(found, notes=(*found.notes, plural(n_env, "env")))
 
     return column, cell
 
@@ -171,14 +179,14 @@ def _fastest_at_equal_accuracy(source: Source, scenes: Collection[str]) -> str:
 
 
 def _floor(result: GroupResult) -> str:
-    """What the measurement itself leaves."""
+    """What the rows of the set leave."""
     parts = []
     for metric in (TOSS_POSITION, TOSS_ROTATION):
         floor = result.metrics[metric.name].of(OverTosses).tracking_floor
         if floor is not None:
             parts.append(f"{figure(floor, metric.unit)} {metric.unit}")
     return (
-        f"The measurement itself leaves {' and '.join(parts)}: the mean error of a cube in free fall before its first "
-        "contact, which begins with the measured first state. An error that is not much larger says nothing of a "
+        f"The rows of the set leave {' and '.join(parts)}: the mean error of a cube in free fall before its first "
+        "contact, which begins with the first state of the toss. An error that is not much larger says nothing of a "
         "simulator."
     )

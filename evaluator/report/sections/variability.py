@@ -201,7 +201,7 @@ def _cubes(metric: Metric, reasons: Reasons) -> tuple[Column, Written]:
         details = found.details
         lines = [f"{getattr(details, 'total', 0):,} of {getattr(details, 'of', 0):,}"]
         if envs := getattr(details, "envs_with_any", 0):
-            lines.append(f"in {envs:,} of {found.n:,} envs")
+            lines.append(f"in {envs:,} of {plural(found.n, 'env', spec=',')}")
         if found.value and (step := getattr(details, "first_step", None)) is not None:
             lines.append(f"first at step {step}")
         bad = metric is SANK and bool(found.value)

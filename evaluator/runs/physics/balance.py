@@ -16,6 +16,7 @@ from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, measure
 from gpusimbench.evaluator.runs.physics.setting import SHARE, Setting
 from gpusimbench.evaluator.runs.physics.states import States
 from gpusimbench.evaluator.runs.physics.world import FixedBody
+from gpusimbench.schemas.text import plural
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -95,7 +96,7 @@ class Balance:
         judged = self._cone.rows > 0
         if not judged.any():
             return dict.fromkeys(checks, Missing("no row has all bodies on level ground"))
-        note = f"{int(self._cone.rows.sum())} rows, coefficient {self._friction:g}"
+        note = f"{plural(int(self._cone.rows.sum()), 'row')}, coefficient {self._friction:g}"
         return {
             Check.CONE: measured(
                 self._cone.excess[judged], low=None, high=0.0, tolerance=slack, of="mu M g dt", note=note

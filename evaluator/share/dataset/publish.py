@@ -38,7 +38,7 @@ from gpusimbench.evaluator.share.dataset.manifest import (
 from gpusimbench.evaluator.share.dataset.personal import Personal, personal
 from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import GsbError, NothingComparable, UsageError
-from gpusimbench.schemas.text import few
+from gpusimbench.schemas.text import few, plural
 from gpusimbench.schemas.writing import write_files
 
 DESCRIBING = (CARD, CITATION, METRICS, RUNS)
@@ -154,8 +154,8 @@ def _texts(
     hashes = identity([one.checkup.content_hash for one in looked_at])
     size = sum(sums[one.name].bytes for one in looked_at)
     abstract = (
-        f"{len(looked_at)} recordings of robot simulators in {len(evaluation.results)} groups, as MCAP files with full "
-        "provenance, and the metrics that follow from them."
+        f"{plural(len(looked_at), 'recording')} of robot simulators in {plural(len(evaluation.results), 'group')}, "
+        "as MCAP files with full provenance, and the metrics that follow from them."
     )
     texts = {
         CARD: card(publication, looked_at, evaluation, size, hashes).encode(),

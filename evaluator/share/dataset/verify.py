@@ -39,7 +39,7 @@ from gpusimbench.evaluator.share.dataset.tables import compare_table
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, GsbError, Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 _SUMS_BYTES = 16 << 20
 _LONGEST = 80
@@ -129,7 +129,7 @@ def verify_set(given: Place, *, limit_bytes: float, tolerance: float, say: Calla
             raise UsageError(
                 f"{given} has {total / _GB:.1f} GB, and {limit_bytes / _GB:g} may be fetched: --limit sets how much"
             )
-        say(f"fetching {len(manifest.sums)} files with {total / 1e6:.1f} MB, one after another; none is kept")
+        say(f"fetching {plural(len(manifest.sums), 'file')} with {total / 1e6:.1f} MB, one after another; none is kept")
     return _Verifier(place, manifest, data, tolerance).verify()
 
 

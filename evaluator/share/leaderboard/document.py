@@ -94,7 +94,8 @@ def _leader(row: Standing | None) -> Cell:
         return Cell("no other row has a place", tone=Tone.QUIET)
     speed = ranked(row.fps)
     name = (row.name,) if row.name != row.key.simulator else ()
-    told = f"{row.key.n_env:,} envs, {row.key.version or 'no version'}, determinism {row.key.determinism}"
+    envs = plural(row.key.n_env, "env", spec=",")
+    told = f"{envs}, {row.key.version or 'no version'}, determinism {row.key.determinism}"
     return Cell(f"{row.key.simulator}: {speed.text}", range=speed.range, notes=(*name, told, *speed.notes))
 
 
@@ -195,7 +196,7 @@ def _settings(key: str, of: Sequence[Standing]) -> Table:
         work = row.result.timed
         solver = [f"{name} {value}" for name, value in work.settings.items() if value]
         said = (_lines(solver), _lines(words.settings(row)), _lines(words.unmet(row)))
-        rows.append(Row((Cell(row.name, notes=(f"{row.key.n_env:,} envs",)), *said), facets(row.key)))
+        rows.append(Row((Cell(row.name, notes=(plural(row.key.n_env, "env", spec=","),)), *said), facets(row.key)))
     return table(key, "", ("simulator", "solver", "switches in force", f"rules of {PROTOCOL} that are not met"), rows)
 
 
@@ -209,7 +210,7 @@ def _files(key: str, section: Section) -> Table:
         for entry in row.entries:
             ended = Cell(entry.status, tone=Tone.PLAIN if entry.status == "complete" else Tone.BAD)
             of = Cell(words.short(entry.replay_of), code=True) if entry.replay_of else EMPTY
-            who = Cell(row.name, notes=(f"{row.key.n_env:,} envs",))
+            who = Cell(row.name, notes=(plural(row.key.n_env, "env", spec=","),))
             cells = (who, Cell(entry.name, code=True), Cell(entry.content_hash or "no hash", code=True), ended, of)
             rows.append(Row(cells, facets(row.key)))
     return table(key, "", ("simulator", "file", "content hash", "status", "replay of"), rows)

@@ -32,7 +32,7 @@ def leaderboard_lines(board: Board) -> Iterator[str]:
             fps = ranked(first.fps)
             speed = " in ".join((f"{fps.text} env-steps/s", *fps.notes))
             yield (
-                f"{where}: 1. {first.name} {first.key.version} with {first.key.n_env:,} envs, "
+                f"{where}: 1. {first.name} {first.key.version} with {plural(first.key.n_env, 'env', spec=',')}, "
                 f"{speed} ({'; '.join(timed.beside(first.result.timed))}); "
                 f"{len(section.ranked)} ranked, {len(section.unranked)} not"
             )

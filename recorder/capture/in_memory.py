@@ -17,7 +17,7 @@ from gpusimbench.schemas.fields import StateField
 _USABLE = 0.8  # of what the system says is available
 
 
-class KeptStates:
+class StatesInMemory:
     """Memory for the states of `rows` steps, all of it touched before the first one is made.
 
     n_action  numbers that an environment is given in a step
