@@ -112,7 +112,7 @@ def _growth(growth: Growth) -> Pairs:
         parts.append(f"bodies up to {words.length(growth.largest[last])} apart at {growth.times[last]:g} s")
     parts += reached(growth)
     if not isinstance(growth.fit, Missing) and not growth.fit.why_no_rate:
-        parts.append(f"rate {growth.fit.rate:.3g} /s")
+        parts.append(f"exponential rate {growth.fit.rate:.3g} /s")
     return [("growth", ", ".join(parts))]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import name_of
 from gpusimbench.evaluator.probe.finding import verdict_of
 from gpusimbench.evaluator.render.cells import estimate
-from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, Facts, Text, Tone, facts, table
+from gpusimbench.evaluator.render.document import EMPTY, NONE, Block, Cell, Document, Facts, Text, Tone, facts, table
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.leaders import Fastest, fastest, not_ranked
@@ -42,6 +43,8 @@ _PLACE = ("scene", "device")
 
 _TASKS = "Success rate and return with intervals: gsb-episodes{}. First difference of two recordings: gsb-diff A B."
 _ACROSS = ", by number of environments with --across n_env"
+
+_W1 = "W1, the mean distance by which bodies must be moved to turn one outcome into another"
 
 MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."
 
@@ -150,6 +153,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for place, rows in tables.items():
         shown = table("groups", place, titles, rows)
         yield shown.without_empty_columns() if several else shown
+    if said := _signs([row for rows in tables.values() for row in rows]):
+        yield Text(said, Tone.QUIET)
     if said := _behind_a_yes(results):
         yield Text(said, Tone.QUIET)
     told = [f"{result.label}: episodes: {said}" for result in results if (said := _episodes(result))]
@@ -168,6 +173,17 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for family in evaluation.convergences:
         yield Text(sentence(family))
     yield from (Text(_fastest(one, results)) for one in fastest(results) if one.first or one.faster)
+
+
+def _signs(rows: Sequence[Sequence[Cell | str]]) -> str:
+    """What the signs in these rows of the table mean; empty where it has none."""
+    shown = [cell.text if isinstance(cell, Cell) else cell for row in rows for cell in row]
+    meanings = (
+        (NONE in shown, f"{NONE}: not known or not reported"),
+        (any(re.fullmatch(r"no, .* cm", said) for said in shown), f"cm: {_W1}"),
+        (any(said.endswith(" x 0") for said in shown), "x 0: no complete run"),
+    )
+    return "; ".join(meaning for there, meaning in meanings if there)
 
 
 def _behind_a_yes(results: Sequence[GroupResult]) -> str:
