@@ -16,12 +16,12 @@ from gpusimbench.schemas.text import few
 
 SCHEMA_VERSION = 1
 
-_QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "visible")
-_DIFFERENCES = ("", "difference", "95 %", "p", "p, Holm", "visible")
+_QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "detectable")
+_DIFFERENCES = ("", "difference", "95 %", "p", "p, Holm", "detectable")
 _NOTABLE = 0.01
 _NUMBERS = 4
 _MOST_DISTINCT = 0.95
-_VISIBLE = "visible: the smallest difference that {} would show with a probability of 80 % at the 5 % level."
+_DETECTABLE = "detectable: the smallest difference that {} would show with a probability of 80 % at the 5 % level."
 
 
 def episodes_document(policy: Outcome, against: Outcome | None, comparison: Comparison | None) -> Document:
@@ -133,7 +133,7 @@ POINTS = "pp: percentage points."
 
 
 def _legend(what: str, shown: Sequence[Quantity | Difference]) -> str:
-    return " ".join([_VISIBLE.format(what), *([POINTS] if any(one.name == SUCCESS for one in shown) else [])])
+    return " ".join([_DETECTABLE.format(what), *([POINTS] if any(one.name == SUCCESS for one in shown) else [])])
 
 
 def _row(of: Quantity) -> list[Cell | str]:
