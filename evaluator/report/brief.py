@@ -153,7 +153,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for place, rows in tables.items():
         shown = table("groups", place, titles, rows)
         yield shown.without_empty_columns() if several else shown
-    if said := _signs([row for rows in tables.values() for row in rows]):
+    if said := _signs([row for rows in tables.values() for row in rows], results):
         yield Text(said, Tone.QUIET)
     if said := _behind_a_yes(results):
         yield Text(said, Tone.QUIET)
@@ -175,12 +175,14 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     yield from (Text(_fastest(one, results)) for one in fastest(results) if one.first or one.faster)
 
 
-def _signs(rows: Sequence[Sequence[Cell | str]]) -> str:
+def _signs(rows: Sequence[Sequence[Cell | str]], results: Sequence[GroupResult]) -> str:
     """What the signs in these rows of the table mean; empty where it has none."""
     shown = [cell.text if isinstance(cell, Cell) else cell for row in rows for cell in row]
+    # without W1, cm are those of sliding joints
+    w1 = any(known(r.metrics[metric.name].value) for r in results for metric in (W1_PARALLEL, W1_RUN_TO_RUN))
     meanings = (
         (NONE in shown, f"{NONE}: not known or not reported"),
-        (any(re.fullmatch(r"no, .* cm", said) for said in shown), f"cm: {_W1}"),
+        (w1 and any(re.fullmatch(r"no, .* cm", said) for said in shown), f"cm: {_W1}"),
         (any(said.endswith(" x 0") for said in shown), "x 0: no complete run"),
     )
     return "; ".join(meaning for there, meaning in meanings if there)
