@@ -48,7 +48,7 @@ def evaluated(n_env: int, seed: int) -> Outcome:
 
 
 def row(n_env: int) -> str:
-    """Rates by both rules, mean over the seeds, and in how many seeds the 95 % interval holds the true rate."""
+    """Rates by both rules, mean over the seeds, and in how many seeds the 95 % interval contains the true rate."""
     import search
 
     truth = search.TRIES / search.PLACES
@@ -68,8 +68,8 @@ def row(n_env: int) -> str:
 
 def table() -> str:
     """The table as Markdown."""
-    titles = ("environments", "episodes of each", "first 64 to finish", "interval holds 60 %", "same number of each",
-              "interval holds 60 %")  # fmt: skip
+    titles = ("environments", "episodes of each", "first 64 to finish", "interval contains 60 %", "same number of each",
+              "interval contains 60 %")  # fmt: skip
     return "\n".join([f"| {' | '.join(titles)} |", "| --- " * len(titles) + "|", *map(row, N_ENVS)])
 
 

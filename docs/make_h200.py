@@ -219,14 +219,10 @@ def _without_counts(said: Cell) -> Cell:
     return replace(said, notes=tuple(note for note in said.notes if not re.search(r"\bgroups?\b", note)))
 
 
-def invariance(*, whole: bool = False) -> str:
-    """What the results of each probed configuration depend on, as a Markdown table; `whole`: of whole probes alone."""
+def invariance() -> str:
+    """What the results of each probed configuration depend on, as a Markdown table."""
     asked = probed([Recording(path) for folder in PROBED for path in sorted(folder.glob("*.mcap"))])
-    rows = [
-        [_probed_name(one.arms.key), _model(one.arms.key), *_answers(one.findings)]
-        for one in asked
-        if not whole or sum(finding.answer is not Answer.NOT_ASKED for finding in one.findings) > len(QUESTIONS) / 2
-    ]
+    rows = [[_probed_name(one.arms.key), _model(one.arms.key), *_answers(one.findings)] for one in asked]
     titles = ["simulator, determinism level", "GPU", *(question.key for question in QUESTIONS)]
     lines = [titles, ["---"] * len(titles), *sorted(rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
@@ -258,7 +254,7 @@ def blocks(evaluation: Evaluation) -> dict[Path, dict[str, str]]:
     return {
         FOLDER / "README.md": {"verdicts": verdicts(evaluation), "sweeps": sweeps(evaluation)},
         OF_PROTOCOL / "README.md": {"verdicts": verdicts(timed_runs)},
-        ROOT / "README.md": {"h200": answers(evaluation), "probe": invariance(whole=True)},
+        ROOT / "README.md": {"h200": answers(evaluation)},
         ROOT / "docs" / "determinism.md": {"switches": switches(evaluation)},
         ROOT / "docs" / "probe.md": {"probe": invariance()},
     }

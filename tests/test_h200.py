@@ -40,6 +40,23 @@ def test_documents_show_what_the_files_say(tables: Any, evaluation: Any) -> None
 
 
 @pytest.mark.slow
+def test_the_readme_says_what_probes_found(tables: Any) -> None:
+    """Hold the README's sentences on probes to the table that they stand for."""
+    titles, _, *lines = (
+        [cell.strip("* ") for cell in line.split("|")[1:-1]] for line in tables.invariance().splitlines()
+    )
+    rows = [dict(zip(titles, line, strict=True)) for line in lines]
+
+    def who(key: str) -> set[str]:
+        repeat = [row for row in rows if row["runs"] == "yes"]
+        return {row[titles[0]].split()[0].strip(",") for row in repeat if row[key] == "no"}
+
+    assert who("number") == {"mjx", "newton", "physx"}
+    assert who("fresh") == {"physx", "isaaclab"}
+    assert [key for key in titles if "genesis" in who(key)] == ["set"]
+
+
+@pytest.mark.slow
 def test_rules_not_met_are_counted(evaluation: Any) -> None:
     """Count as gsb-check --protocol does, over the whole set and over its groups."""
     assert evaluation.unmet.findings == {

@@ -72,7 +72,9 @@ class ReplayPlan:
         except ValueError as error:
             raise UsageError(f"--command '{self.command}' is no command: {error}") from None
         if not words:
-            raise UsageError("--command is the program and its arguments in one word, such as 'python train.py'")
+            raise UsageError(
+                "--command is the program and its arguments as one quoted argument, such as 'python train.py'"
+            )
         return [word.replace("{seed}", str(seed)) for word in words]
 
 

@@ -29,7 +29,7 @@ of work, a replay ends after 20 times the time of the original (at least ten min
 --timeout. It is stopped if it takes more than twice the recorded memory (at least 2 GiB, at most 80 % of this
 machine's), starts too many threads, or writes more than twice what the original holds; see docs/audit.md.
 
-levels, strongest first:
+levels (strongest first):
   bit-identical         every recorded number of every replay has the same bits as in an original, at every step
   same-up-to-env-order  the same, but environments are in another order
   within-ulps           no two numbers are further apart than --ulps units in the last place
@@ -58,8 +58,8 @@ def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     p = new_parser(
         "gsb-audit",
-        "Check recordings, repeat their runs on this machine with the recorded configuration (replays), and say how "
-        "closely the results agree. Recordings of one configuration are audited together.",
+        "Check recordings, run their configurations again on this machine (replays), and say how closely the results "
+        "agree. Recordings of the same configuration are audited together.",
         _EPILOG,
     )
     p.add_argument("files", nargs="+", type=local_path, metavar="FILE", help="recordings (.mcap), or folders of them")
@@ -88,7 +88,7 @@ def parser() -> argparse.ArgumentParser:
         help="largest distance of the level within-ulps (default: %(default)s)",
     )
     add_json(p, "results")
-    p.add_argument("--all", action="store_true", help="print every replay, level, note and value of a setting")
+    p.add_argument("--all", action="store_true", help="print all replays, levels, notes and values of settings")
     p.add_argument("--python", type=local_path, metavar="PATH", help="Python interpreter that runs the replays")
     p.add_argument(
         "--timeout",
@@ -99,8 +99,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--command",
         metavar="PROGRAM",
-        help="the program that made the recording, and its arguments, in one word; it is run again instead of a "
-        "simulator of gsb-record, and {seed} stands for the recorded seed",
+        help="the program that made the recording, with its arguments, as one quoted argument; it is run again "
+        "instead of a simulator of gsb-record, and {seed} stands for the recorded seed",
     )
     p.add_argument(
         "--allow-model",

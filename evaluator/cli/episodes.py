@@ -1,4 +1,4 @@
-"""gsb-episodes: success and return of a policy, over as many episodes of every environment."""
+"""gsb-episodes: success and return of a policy, over the same number of episodes of every environment."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
 
 _EPILOG = """\
-An evaluation that stops at the first n finished episodes of many environments counts short episodes too often, the more
-environments the worse. gsb-episodes takes the first K episodes of every environment, however long they are, and shows
+An evaluation that stops at the first n finished episodes counts short episodes too often, and more so with more
+environments. gsb-episodes takes the first K episodes of every environment, however long they are, and shows
 what the first finished episodes would have given. Recordings are those of gpusimbench.wrap.
 
 Choose K before you record, and record K times the time limit of an episode (K steps more if the autoreset mode is
@@ -41,8 +41,8 @@ def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     p = new_parser(
         "gsb-episodes",
-        "Evaluate a policy from recorded episodes: success and return with intervals, from as many episodes of every "
-        "environment, alone or against another policy.",
+        "Evaluate a policy from recorded episodes: success and return with intervals, from the same number of episodes "
+        "of every environment, alone or against another policy.",
         _EPILOG,
     )
     p.add_argument(
@@ -50,12 +50,13 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--against", nargs="+", type=place, default=[], metavar="FILE",
-        help="recordings of another policy; pairs of the same environment and number are formed if they began alike",
+        help="recordings of another policy; episodes of the same environment and episode number are paired if they "
+        "began alike",
     )  # fmt: skip
     p.add_argument(
         "--across", choices=("n_env", "device", "version"), metavar="KEY",
-        help="whether success and return depend on n_env (the number of environments), on the device or on the "
-        "simulator's version, by which the recordings are grouped",
+        help="group the recordings by n_env (the number of environments), device or version of the simulator, and test "
+        "whether success and return depend on it",
     )  # fmt: skip
     p.add_argument(
         "--per-env", type=int, metavar="K",

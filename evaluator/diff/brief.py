@@ -116,7 +116,7 @@ def _growth(growth: Growth) -> Pairs:
         parts.append(fell if growth.max_not_fallen else "all of which fell off the board")
     parts += reached(growth)
     if not isinstance(growth.fit, Missing) and not growth.fit.why_no_rate:
-        parts.append(f"rate {growth.fit.rate:.3g} /s")
+        parts.append(f"exponential rate {growth.fit.rate:.3g} /s")
     return [("growth", ", ".join(parts))]
 
 

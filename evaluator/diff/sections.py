@@ -45,9 +45,17 @@ def diff_document(found: Difference, *, every: bool = False) -> Document:
     at_length = [section for section in sections if section is not None]
     if every:
         blocks += at_length
-    elif at_length:
+    if not every and _in_ulps(found):
+        blocks.append(Text("  ULP: units in the last place", Tone.QUIET))
+    if at_length and not every:
         blocks.append(Text(f"  more with --all: {', '.join(section.title for section in at_length)}", Tone.QUIET))
     return Document("", tuple(blocks))
+
+
+def _in_ulps(found: Difference) -> bool:
+    """Whether the first number that differs is told in ULP."""
+    state = found.first.state if found.first and found.first.phase != "timed" else None
+    return state is not None and words.in_ulps(state.number, named=True).endswith("ULP")
 
 
 def _remarks(found: Difference, every: bool) -> list[Block]:

@@ -90,7 +90,7 @@ def both_of(number: Number) -> str:
     values = f"{number.a} and {number.b}{unit} ({number.hex_a}, {number.hex_b})"
     resolution = ""
     if number.resolution is not None:
-        resolution = f", resolution {words.amount(number.resolution, number.unit)}"
+        resolution = f"; up to {words.amount(number.resolution, number.unit)} counts as equal"
     return f"{place_of(number)}: {values}: {apart(number, named=True)}{resolution}"
 
 

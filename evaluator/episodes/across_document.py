@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gpusimbench.evaluator.episodes.dependence import Across, Dependence, Setting
-from gpusimbench.evaluator.episodes.document import AT, SCHEMA_VERSION, interval, number, record, warnings
+from gpusimbench.evaluator.episodes.document import (
+    AT,
+    POINTS,
+    SCHEMA_VERSION,
+    difference,
+    interval,
+    number,
+    record,
+    warnings,
+)
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Text, Tone, facts, items, table
 from gpusimbench.evaluator.render.numbers import plural
@@ -34,7 +43,10 @@ def across_document(found: Across) -> Document:
             (found.key, "files", "envs", *(name for of in one.quantities for name in (of.name, "95 %"))),
             [_row(setting) for setting in found.settings],
         ),
-        Text(f"p: {_tests(found)}, by exchanging {_units(found)} of {found.key}. 95 %: of each value alone."),
+        Text(
+            f"p: {_tests(found)}, by exchanging {_units(found)} of {found.key}. 95 %: of each value alone."
+            f"{f' {POINTS}' if depends and one.success else ''}"
+        ),
     ]
     if told := list(_told(found)):
         blocks.append(items(*told, tone=Tone.WARNING))
@@ -60,7 +72,7 @@ def dump_across(found: Across) -> str:
 def _verdict(of: Dependence, found: Across) -> str:
     what = _WORDS[found.key]
     if of.depends:
-        far = number(of.largest, of.name)
+        far = difference(of.largest, of.name)
         return f"{of.name} depends on the {what} (p = {of.adjusted_p:.2g}): means differ by up to {far}"
     return f"{of.name}: no dependence on the {what} can be told (p = {of.adjusted_p:.2g})"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from gpusimbench.evaluator.episodes.comparison import Comparison, Difference
 from gpusimbench.evaluator.episodes.outcome import SUCCESS, Outcome, Quantity
@@ -16,12 +16,12 @@ from gpusimbench.schemas.text import few
 
 SCHEMA_VERSION = 1
 
-_QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "visible")
-_DIFFERENCES = ("", "difference", "95 %", "p", "p, Holm", "visible")
+_QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "detectable")
+_DIFFERENCES = ("", "difference", "95 %", "p", "p, Holm", "detectable")
 _NOTABLE = 0.01
 _NUMBERS = 4
 _MOST_DISTINCT = 0.95
-_VISIBLE = "visible: the smallest difference that {} would show with a probability of 80 % at the 5 % level."
+_DETECTABLE = "detectable: the smallest difference that {} would show with a probability of 80 % at the 5 % level."
 
 
 def episodes_document(policy: Outcome, against: Outcome | None, comparison: Comparison | None) -> Document:
@@ -68,8 +68,8 @@ def warnings(of: Outcome) -> Iterator[str]:
         if early.biased:
             yield (
                 f"the mean {quantity.name} of the {of.episodes} episodes that finished first is "
-                f"{number(early.mean, quantity.name)}, off by {number(early.difference, quantity.name, sign=True)} "
-                f"{interval(early.ci95, quantity)}: short episodes are too frequent among them"
+                f"{number(early.mean, quantity.name)}, off by {difference(early.difference, quantity.name, sign=True)} "
+                f"{interval(early.ci95, quantity, shown=difference)}: short episodes are too frequent among them"
             )
         for what, p in (("environment", quantity.env_p), ("number of the episode in it", quantity.number_p)):
             if not isinstance(p, Missing) and p < _NOTABLE:
@@ -105,14 +105,18 @@ def _policy(of: Outcome, title: str) -> Iterator[Block]:
             "episodes",
             f"{of.episodes}: the first {_several(of.per_env)}of each of {plural(of.n_env, 'environment')}{lost}",
         ),
-        ("ended", f"{of.terminated} terminated, {of.episodes - of.terminated} truncated; {of.mean_length:.4g} steps"),
+        (
+            "ended",
+            f"{of.terminated} terminated, {of.episodes - of.terminated} truncated; "
+            f"mean length {of.mean_length:.4g} steps",
+        ),
         *([("success", f"{of.success} at {AT[of.success_at.value]}")] if of.success else []),
     )
     yield table("episodes", "", _QUANTITIES, [_row(one) for one in of.quantities])
     method = "; ".join(f"{one.name}: {one.method}" for one in of.quantities)
     missing = [(one.name, one.ci95.reason) for one in of.quantities if isinstance(one.ci95, Missing)]
     why = "".join(f"No interval of {name}: {reason}. " for name, reason in missing)
-    yield Text(f"95 %: {method}. {why}{_VISIBLE.format('a comparison with as many episodes of another policy')}")
+    yield Text(f"95 %: {method}. {why}{_legend('a comparison with as many episodes of another policy', of.quantities)}")
     if told := list(warnings(of)):
         yield items(*told, tone=Tone.WARNING)
 
@@ -124,6 +128,13 @@ def _several(number: int) -> str:
 AT = {"last": "the last step", "any": "any step"}
 """Where a flag counts, in words."""
 
+POINTS = "pp: percentage points."
+"""The unit of a `difference` of success."""
+
+
+def _legend(what: str, shown: Sequence[Quantity | Difference]) -> str:
+    return " ".join([_DETECTABLE.format(what), *([POINTS] if any(one.name == SUCCESS for one in shown) else [])])
+
 
 def _row(of: Quantity) -> list[Cell | str]:
     early = of.finish_order
@@ -134,16 +145,16 @@ def _row(of: Quantity) -> list[Cell | str]:
         number(of.iqm, of.name),
         interval(of.iqm_ci95, of),
         Cell(number(early.mean, of.name), early.mean, tone=Tone.WARNING if early.biased else Tone.PLAIN),
-        number(of.least_shown, of.name),
+        difference(of.least_shown, of.name),
     ]
 
 
 def _compared(found: Comparison) -> Iterator[Block]:
     pairs = found.pairs
     if pairs.formed:
-        how = f"paired: the {pairs.pairs} pairs of the same environment and number began alike, bit for bit"
+        how = f"paired: the {pairs.pairs} pairs of the same environment and episode number began alike, bit for bit"
     elif pairs.pairs:
-        how = f"not paired: {pairs.alike} of {pairs.pairs} pairs of the same environment and number began alike"
+        how = f"not paired: {pairs.alike} of {pairs.pairs} pairs of the same environment and episode number began alike"
         how += "; with --per-env 1 and one seed of reset they usually all do" if pairs.alike else ""
     else:
         how = "not paired: the policies have other numbers of environments, or other observations"
@@ -156,17 +167,19 @@ def _compared(found: Comparison) -> Iterator[Block]:
         for one in found.differences
         if not isinstance(one.discordant, Missing)
     ]
-    yield Text(f"first minus against. Tests: {tests}.{''.join(discordant)} {_VISIBLE.format('this comparison')}")
+    yield Text(
+        f"first minus against. Tests: {tests}.{''.join(discordant)} {_legend('this comparison', found.differences)}"
+    )
 
 
 def _compared_row(of: Difference) -> list[Cell | str]:
     return [
         of.name,
-        number(of.difference, of.name, sign=True),
-        interval(of.ci95, of),
+        difference(of.difference, of.name, sign=True),
+        interval(of.ci95, of, shown=difference),
         f"{of.p_value:.2g}",
         Cell(f"{of.adjusted_p:.2g}", of.adjusted_p, tone=Tone.GOOD if of.differs else Tone.PLAIN),
-        number(of.least_shown, of.name),
+        difference(of.least_shown, of.name),
     ]
 
 
@@ -175,10 +188,10 @@ def _verdict(found: Comparison) -> str:
     for one in found.differences:
         more = "higher" if one.difference > 0 else "lower"
         if one.differs:
-            said.append(f"{one.name} of the first policy is {more} by {number(abs(one.difference), one.name)}")
+            said.append(f"{one.name} of the first policy is {more} by {difference(abs(one.difference), one.name)}")
         else:
             least = known(one.least_shown)
-            seen = f" (differences from {number(least, one.name)} on would mostly be seen)" if least else ""
+            seen = f" (differences from {difference(least, one.name)} on would mostly be seen)" if least else ""
             said.append(f"{one.name}: no difference can be told{seen}")
     return "; ".join(said)
 
@@ -192,8 +205,16 @@ def number(value: float | Missing, name: str, *, sign: bool = False) -> str:
     return f"{value:{'+' if sign else ''}.4g}"
 
 
-def interval(ends: tuple[float, float] | Missing, of: Quantity | Difference) -> str:
-    """An interval of a quantity; a dash where there is none."""
+def difference(value: float | Missing, name: str, *, sign: bool = False) -> str:
+    """A difference between two values of the quantity of that name, of success in percentage points."""
+    shown = number(value, name, sign=sign)
+    return shown.replace("%", "pp") if name == SUCCESS else shown
+
+
+def interval(
+    ends: tuple[float, float] | Missing, of: Quantity | Difference, *, shown: Callable[[float, str], str] = number
+) -> str:
+    """An interval of a quantity, or of a `difference` of it; a dash where there is none."""
     if isinstance(ends, Missing):
         return NONE
-    return f"[{', '.join(number(end, of.name) for end in ends)}]"
+    return f"[{', '.join(shown(end, of.name) for end in ends)}]"

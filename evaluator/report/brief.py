@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import name_of
 from gpusimbench.evaluator.probe.finding import verdict_of
 from gpusimbench.evaluator.render.cells import estimate
-from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, Facts, Text, Tone, facts, table
+from gpusimbench.evaluator.render.document import EMPTY, NONE, Block, Cell, Document, Facts, Text, Tone, facts, table
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.leaders import Fastest, fastest, not_ranked
@@ -43,6 +44,8 @@ _PLACE = ("scene", "device")
 
 _TASKS = "Success rate and return with intervals: gsb-episodes{}. First difference of two recordings: gsb-diff A B."
 _ACROSS = ", by number of environments with --across n_env"
+
+_W1 = "W1, the mean distance by which bodies must be moved to turn one outcome into another"
 
 MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."
 
@@ -156,6 +159,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for place, rows in tables.items():
         shown = table("groups", place, titles, rows)
         yield shown.without_empty_columns() if several else shown
+    if said := _signs([row for rows in tables.values() for row in rows], results):
+        yield Text(said, Tone.QUIET)
     if said := _behind_a_yes(results):
         yield Text(said, Tone.QUIET)
     yield from (Text(said, Tone.BAD) for said in first(list(_incomplete(results)), _NOTES, " with such runs"))
@@ -184,6 +189,19 @@ def _incomplete(results: Sequence[GroupResult]) -> Iterator[str]:
         if ended := [run for run in runs if run.status != "complete"]:
             of_all = f"{len(ended)} of {plural(len(runs), 'run')} not complete"
             yield cut(f"{result.label}: {of_all}: {shown_status(ended[0])}: {ended[0].reason}", _REASON)
+
+
+def _signs(rows: Sequence[Sequence[Cell | str]], results: Sequence[GroupResult]) -> str:
+    """What the signs in these rows of the table mean; empty where it has none."""
+    shown = [cell.text if isinstance(cell, Cell) else cell for row in rows for cell in row]
+    # without W1, cm are those of sliding joints
+    w1 = any(known(r.metrics[metric.name].value) for r in results for metric in (W1_PARALLEL, W1_RUN_TO_RUN))
+    meanings = (
+        (NONE in shown, f"{NONE}: not known or not reported"),
+        (w1 and any(re.fullmatch(r"no, .* cm", said) for said in shown), f"cm: {_W1}"),
+        (any(said.endswith(" x 0") for said in shown), "x 0: no complete run"),
+    )
+    return "; ".join(meaning for there, meaning in meanings if there)
 
 
 def _behind_a_yes(results: Sequence[GroupResult]) -> str:

@@ -158,9 +158,10 @@ def _incomparable(rows: Sequence[tuple[str, TimedWork]], *, counted: bool = Fals
     usual = most_common([work.windows for _, work in rows])
     others = {window: list(dict.fromkeys(names)) for window, names in by_window.items() if window != usual}
     counted = counted and sum(map(len, others.values())) >= _NAMED
-    said = [f"{_of(w)}: {plural(len(n), 'group') if counted else _listed(n)}" for w, n in others.items()]
-    told = f"{'; '.join(said)}; {_of(usual)}: all others"
-    return [f"{NOT_COMPARABLE}: the rows were timed over other steps of the scene: {told}"]
+    whose = [(w, plural(len(n), "group") if counted else _listed(n)) for w, n in others.items()]
+    whose.append((next(window for window in by_window if window == usual), "all others"))
+    said = "; those of ".join(f"{name} are {steps(TimedWork(windows=w))}" for w, name in whose)
+    return [f"{NOT_COMPARABLE}: the timed steps of {said}"]
 
 
 def of_sides(base: TimedWork, head: TimedWork) -> list[str]:
@@ -198,10 +199,6 @@ def timed_record(work: TimedWork) -> dict[str, Any]:
         "protocol_not_met": dict(work.unmet.findings),
         "protocol_findings": work.unmet.count,
     }
-
-
-def _of(windows: Any) -> str:
-    return f"steps {steps(TimedWork(windows=windows))}"
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -74,6 +74,7 @@ def test_in_short(pair: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> 
     assert "first number  cubes/position of cube_0_1_1, x: " in short
     assert "trajectories  2 classes: a 0-2; b 0, 2 | b 1" in short
     assert "more with --all: fields, distances, equal environments\n" in short
+    assert "\n  ULP: units in the last place\n" in short
     assert "max |a - b|" not in short
     assert "max |a - b|" in long
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -110,7 +111,7 @@ def test_a_bias_is_said() -> None:
     assert not isinstance(early.ci95, Missing)
     assert 0 < early.ci95[0] < early.difference < early.ci95[1]
     said = " ".join(warnings(of))
-    assert f"finished first is {100 * early.mean:.1f} %, off by +{100 * early.difference:.1f} %" in said
+    assert f"finished first is {100 * early.mean:.1f} %, off by +{100 * early.difference:.1f} pp" in said
     long = outcome_of(recording_of("sweep", 16, 1), recording_of("sweep", 16, 1, 50), per_env=1)
     assert long.n_env == 32 and len(long.files) == 2
     alone = outcome_of(recording_of("sweep", 1, 64), per_env=64)
@@ -284,8 +285,9 @@ def test_what_a_comparison_says(tmp_path: Path) -> None:
     """Begin with the verdict, and refuse a recording against itself, another task, and a recording without episodes."""
     near, sweep = recording_of("near", 64, 4), recording_of("sweep", 64, 4)
     shown = call("gsb-episodes", near, "--success", "success", "--per-env", 4, "--against", sweep, code=0).stdout
-    assert shown.startswith("success of the first policy is higher by ")
-    assert "paired: the 256 pairs of the same environment and number began alike, bit for bit" in " ".join(
+    assert re.match(r"success of the first policy is higher by [\d.]+ pp;", shown)
+    assert "pp: percentage points." in shown
+    assert "paired: the 256 pairs of the same environment and episode number began alike, bit for bit" in " ".join(
         shown.split()
     )
     same = tmp_path / "same.mcap"
@@ -295,7 +297,7 @@ def test_what_a_comparison_says(tmp_path: Path) -> None:
     assert "one task is evaluated at a time" in call("gsb-episodes", near, "--against", other, code=2).stderr
     alike = call("gsb-episodes", near, "--against", recording_of("near", 64, 4, 900), "--per-env", 1, code=0).stdout
     assert "return: no difference can be told" in " ".join(alike.split())
-    assert "0 of 64 pairs of the same environment and number began alike" in " ".join(alike.split())
+    assert "0 of 64 pairs of the same environment and episode number began alike" in " ".join(alike.split())
 
 
 def test_recordings_without_episodes(tmp_path: Path) -> None:

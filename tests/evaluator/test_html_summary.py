@@ -80,6 +80,8 @@ def test_the_page_begins_with_them(tmp_path: Path) -> None:
     print_document(brief(evaluation), terminal)
     assert "Fastest valid simulator in inclined-collision on" in terminal.getvalue()
     assert "no distance to reality: no reference" in terminal.getvalue()
+    signs = "-: not known or not reported; cm: W1, the mean distance by which bodies must be moved to turn one outcome "
+    assert signs + "into another; x 0: no complete run" in " ".join(terminal.getvalue().split())
 
 
 def test_faults_in_any_scene_bar_a_first_place(tmp_path: Path) -> None:
@@ -210,6 +212,7 @@ def test_a_yes_says_what_it_leaves_out(tmp_path: Path) -> None:
     print_document(brief(evaluation), terminal)
     stands = few if few == more else f"{few} to {more}"
     assert f"physics-2: a yes stands for {stands} of 22 checks; the others could not be made" in terminal.getvalue()
+    assert "\n-: not known or not reported\n" in terminal.getvalue()
 
 
 def fastest_of(evaluation: Evaluation) -> tuple[str, tuple[str, ...]]:
