@@ -5,7 +5,7 @@ usage: python -m benchmarks.write_path [--repeats 7] [--n-env 64] [--megabytes 1
 Rows are states of 28 cubes, or what gpusimbench.wrap records of the MJX task of benchmarks/wrap_overhead.py. With
 --alone one thread does all work, as wrap has it beside a device.
 
-From 1 GB on, state hashes are compiled, as in a capture of that size. Rates by the clock depend on what else the
+From 2 GB on, state hashes are compiled, as in a capture of that size. Rates by the clock depend on what else the
 machine does; the CPU time for each byte, of all threads, depends on it less. With at least four processors, another
 process does most of the work: its CPU time counts, and the time until it has started.
 """
