@@ -57,7 +57,7 @@ class Faulty(Simulator):
                     os.kill(os.getpid(), signal.SIGINT)
                 if self.options.mode == "deaf":
                     try:
-                        time.sleep(0.01)
+                        time.sleep(0.1)  # nearly all of the time: an interruption beside it ends the run
                     except KeyboardInterrupt:  # an engine that returns ends with the block
                         time.sleep(600)
                 if self.options.mode == "slow":

@@ -96,6 +96,8 @@ def test_an_interruption_at_any_moment_of_the_start(tmp_path: Path) -> None:
         time.sleep(0.04 * number)
         os.killpg(process.pid, signal.SIGINT)
         _, err = process.communicate(timeout=60)
+        if "Exception ignored in: <function _get_module_lock" in err:
+            continue  # Python drops what is raised while it forgets the lock of an import
         assert process.returncode == 1, err
         assert "Traceback" not in err
         assert "interrupted" in err
