@@ -18,7 +18,7 @@ from typing import Any
 from page_blocks import redraw
 
 from gpusimbench.evaluator.missing import known
-from gpusimbench.evaluator.render.numbers import figure, interval, plural
+from gpusimbench.evaluator.render.numbers import figure, interval
 from gpusimbench.evaluator.report.leaders import speaks_against_pair
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
@@ -38,6 +38,7 @@ from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, config
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
 from gpusimbench.evaluator.statistics.families import holm
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.tosses import ODD
 
 PAGE = Path(__file__).resolve().parent / "how-to" / "cube-toss.md"

@@ -29,9 +29,9 @@ ALGORITHM = "sum-splitmix64-v1"
 
 _WORD = {1: "<u1", 2: "<u2", 4: "<u4", 8: "<u8"}
 
-_ALONE_CPUS = 3
-_WORDS = 1 << (15 if (os.cpu_count() or 1) <= _ALONE_CPUS else 17)
-"""At a time: few enough for a core's cache. Where several threads work, and share the interpreter, more of them, since
+_MANY_CPUS = 4
+_WORDS = 1 << (17 if (os.cpu_count() or 1) >= _MANY_CPUS else 15)
+"""At a time: few enough for a core's cache. Where many threads work, and share the interpreter, more of them, since
 each call may have to wait for it: 1 GB took six threads 1.6 s, and 2.2 s with a quarter of the words."""
 
 _FEW_WORDS = 4

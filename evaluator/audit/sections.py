@@ -23,10 +23,9 @@ from gpusimbench.evaluator.render.document import (
     items,
     table,
 )
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.runs.groups import shown_status
 from gpusimbench.schemas.provenance import engine_name
-from gpusimbench.schemas.text import cut, few, first
+from gpusimbench.schemas.text import cut, few, first, plural
 
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
 

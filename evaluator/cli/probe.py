@@ -220,7 +220,7 @@ def _recorded(arguments: argparse.Namespace, problems: list[str]) -> list[Place]
 
 
 def _record_arms(plan: Plan, out: Path, problems: list[str]) -> None:
-    from gpusimbench.evaluator.render.numbers import plural
+    from gpusimbench.schemas.text import plural
 
     refused = _record(plan, plan.missing(_configurations(out, plan)), out, problems)
     again = plan.missing(_configurations(out, plan), differing(_there(out, plan)))

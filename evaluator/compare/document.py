@@ -24,9 +24,8 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.markdown import render_markdown
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.results.metric import Axis
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 _ROWS, _REASONS, _WARNINGS, _NOTES = 5, 1, 2, 1
 """Rows of the table, reasons, warnings and notes that the short text has."""

@@ -17,13 +17,13 @@ from gpusimbench.evaluator.episodes.side import Episodes, choose, read_side
 from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.cases import PERMUTATIONS
 from gpusimbench.schemas.errors import NothingComparable
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.text import plural
 
 Values = NDArray[np.float64]
 LENGTH = "length"

@@ -9,12 +9,12 @@ from itertools import chain
 
 from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, not_compared
 from gpusimbench.evaluator.episodes.clusters import seed_of
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.groups import Group, GroupKey
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.vector import NO_SEED, RESET_KEYS, RESET_SEEDS
 
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from gpusimbench.evaluator.compare.compare import Compared, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
-from gpusimbench.evaluator.render.numbers import NONE, figure, plural
+from gpusimbench.evaluator.render.numbers import NONE, figure
 from gpusimbench.evaluator.report.words import size
 from gpusimbench.evaluator.results.metric import Axis, Direction
+from gpusimbench.schemas.text import plural
 
 TITLES = ("", "base", "head", "head / base", "95 % interval", "p", "verdict")
 

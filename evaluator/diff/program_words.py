@@ -5,8 +5,7 @@ from __future__ import annotations
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.program_parts import Kind, Part, ProgramDifference
 from gpusimbench.evaluator.render.document import NONE, Cell, Section, table
-from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 _ARRAYS, _NAMES, _LAST = 3, 8, 100
 

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.episodes.document import (
 )
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Text, Tone, facts, items, table
-from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.schemas.text import plural
 
 _WORDS = {"n_env": "number of environments", "device": "device", "version": "version of the simulator"}
 _FEW_ENVS = 8

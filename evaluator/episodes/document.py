@@ -11,8 +11,7 @@ from gpusimbench.evaluator.episodes.side import Choice
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
-from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.schemas.text import few
+from gpusimbench.schemas.text import few, plural
 
 SCHEMA_VERSION = 1
 

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -85,22 +86,27 @@ class Episodes:
     clusters: NDArray[np.int64]
     began: tuple[Starts, ...]
 
+    @cached_property
+    def _of_clusters(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        # the first environment of each cluster, the place of each environment's cluster, and how many a cluster has
+        return np.unique(self.clusters, return_index=True, return_inverse=True, return_counts=True)[1:]
+
     @property
     def n_cluster(self) -> int:
         """Environments without repeats."""
-        return len(np.unique(self.clusters))
+        return len(self.repeats)
 
     @property
     def repeats(self) -> NDArray[np.int64]:
         """Environments of each cluster, [cluster]."""
-        return np.asarray(np.unique(self.clusters, return_counts=True)[1])
+        return self._of_clusters[2]
 
     def by_cluster(self, values: NDArray[Any]) -> NDArray[np.float64]:
         """Means over the environments of each cluster, [cluster, ...], from values [env, ...]."""
         if self.n_cluster == self.n_env:
             return values.astype(np.float64)
         total = np.zeros((self.n_cluster, *values.shape[1:]))
-        np.add.at(total, np.unique(self.clusters, return_inverse=True)[1], values)
+        np.add.at(total, self._of_clusters[1], values)
         size = self.repeats.reshape(-1, *(1 for _ in values.shape[1:]))
         found: NDArray[np.float64] = total / size
         return found
@@ -108,7 +114,7 @@ class Episodes:
     @property
     def cluster_starts(self) -> NDArray[Any]:
         """The starts of the first environment of each cluster, [cluster, episode]."""
-        return np.asarray(self.starts[np.unique(self.clusters, return_index=True)[1]])
+        return np.asarray(self.starts[self._of_clusters[0]])
 
     @property
     def n_env(self) -> int:

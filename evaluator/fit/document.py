@@ -12,7 +12,7 @@ from gpusimbench.evaluator.fit.search import METHOD, Evaluation
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Block, Code, Document, Text, facts, table
-from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.schemas.text import plural
 
 SCHEMA_VERSION = 1
 

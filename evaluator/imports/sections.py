@@ -21,7 +21,7 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.schemas.text import plural
 
 SCHEMA_VERSION = 1
 _MOST_ROWS = 40  # differences that are shown without --all

@@ -15,8 +15,8 @@ from gpusimbench.evaluator.read.episode_table import has_episodes, has_rewards
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Block, Code, Document, Figure, Section, Text
 from gpusimbench.evaluator.render.figures.curves import End, curves_chart
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.vector import IMAGE_HASH
 
 _SHOWN = 4

@@ -12,8 +12,7 @@ from gpusimbench.evaluator.diff.verdict import verdict_of
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.programs.comparison import Compared, Comparison
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Item, Items, Text, Tone, facts
-from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.schemas.text import few
+from gpusimbench.schemas.text import few, plural
 
 SCHEMA_VERSION = 1
 

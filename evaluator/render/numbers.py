@@ -5,7 +5,6 @@ from __future__ import annotations
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import NONE as NONE
 from gpusimbench.evaluator.results.metric import Estimate
-from gpusimbench.schemas.text import plural as plural
 
 _MARKS = {"certified": "<= ", "sampled": "~ "}
 """Of a value that is an upper bound, or of a sample."""

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from gpusimbench.evaluator.diff.verdict import apart, place_of
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.replays.comparison import Compared, Share
 from gpusimbench.evaluator.replays.verdict import Judged, Verdict
+from gpusimbench.schemas.text import plural
 
 SCHEMA_VERSION = 1
 

@@ -11,7 +11,6 @@ from gpusimbench.evaluator.probe.arms import name_of
 from gpusimbench.evaluator.probe.finding import verdict_of
 from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import EMPTY, NONE, Block, Cell, Document, Facts, Text, Tone, facts, table
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.leaders import Fastest, fastest, not_ranked
 from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sentence
@@ -33,7 +32,7 @@ from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
 from gpusimbench.evaluator.runs.groups import shown_status
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
-from gpusimbench.schemas.text import cut, few, first
+from gpusimbench.schemas.text import cut, few, first, plural
 
 _SHORT = "* "
 """Before a throughput that was timed for less than the protocol asks; numbers stay in line."""

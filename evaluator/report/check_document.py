@@ -11,8 +11,8 @@ from gpusimbench.evaluator.check.rules.findings import Checked, Finding, Report,
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import Level, Rule, RuleSet, Scope
 from gpusimbench.evaluator.render.document import Block, Document, Facts, Item, Items, Section, Text, Tone, facts, items
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.text import plural
 
 _NAMES = 3
 """Files that are named; of more, the number is said."""

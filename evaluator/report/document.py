@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text, items
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections import (
     accumulation,
     canonical,
@@ -37,6 +36,7 @@ from gpusimbench.evaluator.report.sections import (
 )
 from gpusimbench.evaluator.report.sections.overview import asked_of, overview
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.schemas.text import plural
 
 SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
     problems.section,

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from gpusimbench.evaluator.read.failing import KINDS, EnvFailure, Failing
 from gpusimbench.evaluator.render.document import Cell, Column, Table, Tone, table
-from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.schemas.provenance import OverflowBit
+from gpusimbench.schemas.text import plural
 
 _COLUMNS = (
     Column("env"),

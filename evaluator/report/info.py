@@ -14,7 +14,6 @@ from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Facts, Table, Text, Tone, table
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.failures import counted, failing_table
 from gpusimbench.evaluator.results.timed_work import SHORT_S
 from gpusimbench.evaluator.runs.cotenancy import described
@@ -23,7 +22,7 @@ from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 from gpusimbench.schemas.treatment import VARIED, initial_words
 from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
-from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import (
@@ -22,6 +22,7 @@ from gpusimbench.evaluator.results.timed_work import (
     differing_settings,
     most_common,
 )
+from gpusimbench.schemas.text import plural
 
 _NAMED = 6  # rows that a remark names
 _SHORT = f"(< {SHORT_S:g} s)"

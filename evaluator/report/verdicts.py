@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Cell, Column, Tone
-from gpusimbench.evaluator.render.numbers import distance, figure, interval, plural
+from gpusimbench.evaluator.render.numbers import distance, figure, interval
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.canonical import Law
 from gpusimbench.evaluator.results.cost_metrics import FPS
@@ -20,7 +20,7 @@ from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_LOCAL_POSITION, TOSS_POSITION, TOSS_ROTATION
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 Results = Sequence[GroupResult]
 

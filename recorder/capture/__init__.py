@@ -3,7 +3,7 @@
 The capture phase (recorder.run.capture_phase) puts these together; a module uses those below it:
 
     stepping      the loop: an engine makes blocks of steps, while a thread writes those before; the clock of both
-    kept          blocks kept in the host's memory, and written after the last step (--capture memory)
+    in_memory     blocks kept in the host's memory, and written after the last step (--capture memory)
     writing       the thread that writes blocks in order
     states        writes states, and has their bytes worked on: state_work by threads of this process, or work_process
                   by a process of its own, in which work_child runs

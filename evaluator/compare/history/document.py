@@ -31,8 +31,9 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.figures.history import Dot, Level, Mark, history_chart
-from gpusimbench.evaluator.render.numbers import NONE, figure, plural
+from gpusimbench.evaluator.render.numbers import NONE, figure
 from gpusimbench.evaluator.results.metric import Direction
+from gpusimbench.schemas.text import plural
 
 _LINES, _NOTES = 5, 2
 """Changes and notes that the short text lists."""

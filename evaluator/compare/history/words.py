@@ -7,7 +7,8 @@ from collections import Counter
 from gpusimbench.evaluator.compare.finding import Change, Finding
 from gpusimbench.evaluator.compare.history.curves import Curve, Shift
 from gpusimbench.evaluator.compare.history.history import Event, History
-from gpusimbench.evaluator.render.numbers import figure, plural
+from gpusimbench.evaluator.render.numbers import figure
+from gpusimbench.schemas.text import plural
 
 
 def headline(history: History) -> str:

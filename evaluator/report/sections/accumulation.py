@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gpusimbench.evaluator.render.document import Section, Text, key_of, table
-from gpusimbench.evaluator.render.numbers import NONE, distance, plural
+from gpusimbench.evaluator.render.numbers import NONE, distance
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.accumulation import Accumulation
 from gpusimbench.evaluator.statistics.jackknife import Interval
 from gpusimbench.evaluator.statistics.matched import Variability
+from gpusimbench.schemas.text import plural
 
 _HOW = (
     "Whether variability grows as parallelisation increases: W1 [cm] with every run reduced to the same number of "

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
-from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.canonical import LARGEST, UNITS, Law, Sensitivity, Unmeasured
+from gpusimbench.schemas.text import plural
 
 _TITLES = ("simulator", "law", "envs", "measured", "predicted", "difference", "tolerance", "smallest change", "verdict")
 _HOW = (

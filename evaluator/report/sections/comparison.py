@@ -21,7 +21,6 @@ from gpusimbench.evaluator.render.document import (
     Tone,
     table,
 )
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.sections import radar
 from gpusimbench.evaluator.report.sections.dot_plot import bars, panels
@@ -31,6 +30,7 @@ from gpusimbench.evaluator.report.verdicts import for_probe
 from gpusimbench.evaluator.results.metrics import on_radar
 from gpusimbench.evaluator.results.ranking import Contender
 from gpusimbench.evaluator.runs.labels import options_given, row_names
+from gpusimbench.schemas.text import plural
 
 _HOW = (
     "Raw values, a dot for each group that can be compared, with 95 % intervals over runs. A radar scales its axes "

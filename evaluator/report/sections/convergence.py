@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
-from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.statistics.convergence import AGREE, Order
+from gpusimbench.schemas.text import plural
 
 NOT_ASYMPTOTIC = "not in the asymptotic range"
 

@@ -14,12 +14,12 @@ from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.csv import Cell
 from gpusimbench.evaluator.render.document import Block, Figure, Numbers, Section, Text, key_of
 from gpusimbench.evaluator.render.figures import density_map
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections.rows import footnotes_below, titled, with_lines, without
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map
+from gpusimbench.schemas.text import plural
 
 _HOW = (
     "Where bodies lie at t = {time:g} s, all environments and runs of a group together, each environment in its own "

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.render.document import (
     Tone,
     items,
 )
-from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written
 from gpusimbench.evaluator.report.sections.values import of_groups
@@ -27,7 +27,7 @@ from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 SAME = "cannot be told apart from 1"
 

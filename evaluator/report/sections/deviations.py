@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.render.document import Section, Table, Text, key_of, table
 from gpusimbench.evaluator.render.figures.matrix import letter
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.schemas.provenance import Deviation
-from gpusimbench.schemas.text import few
+from gpusimbench.schemas.text import few, plural
 
 _HOW = (
     "Parameters of the scene that an engine could not honour, by its adapter's own statement: what the scene wants, "

@@ -26,13 +26,14 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.figures import divergence as chart
 from gpusimbench.evaluator.render.figures.tree import members, tree_chart, window
-from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written, with_lines
 from gpusimbench.evaluator.report.sections.values import of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
 from gpusimbench.evaluator.results.result import GroupResult, RunSpread
+from gpusimbench.schemas.text import plural
 
 _MM = 1e3
 _UNKNOWN = "not known: "

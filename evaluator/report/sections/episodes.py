@@ -5,10 +5,11 @@ from __future__ import annotations
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.render.document import Cell, Row, Section, table
-from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report.sections.rows import facets, named
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.text import plural
 
 _TITLES = ("group", "envs x runs", "steps", "ended", "terminated", "truncated", "cut", "mean length", "mean return")
 _LEGEND = (

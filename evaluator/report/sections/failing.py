@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from gpusimbench.evaluator.render.document import Block, Item, Items, Section
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.failures import counted, failing_table
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.schemas.text import plural
 
 
 def section(source: Source) -> Section | None:

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 from gpusimbench.evaluator.metrics.guidelines import Guideline
 from gpusimbench.evaluator.render.document import Cell, Section, Text, Tone, table
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.schemas.text import few
+from gpusimbench.schemas.text import few, plural
 
 _HOW = (
     "Each pick follows from its rule and from these recordings, and from nothing else. INVALID runs, bodies that went "

@@ -19,7 +19,6 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import fidelity
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written, without
 from gpusimbench.evaluator.report.sections.values import of_groups
@@ -27,6 +26,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.fidelity import DEMANDED, FidelityRow, Verdict
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
+from gpusimbench.schemas.text import plural
 
 _SAID = f"An opened row shows what each check measured. Tolerances are those of {NEWEST.value}."
 _TONES = {Verdict.HELD: Tone.GOOD, Verdict.BROKEN: Tone.BAD}

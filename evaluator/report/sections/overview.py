@@ -23,7 +23,6 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, not_ranked
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
@@ -32,6 +31,7 @@ from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import is_instrument
+from gpusimbench.schemas.text import plural
 
 _DEPENDS = (
     ("same at any N", "yes: the same initial state has the same bits among more or fewer envs, where probed", "number"),

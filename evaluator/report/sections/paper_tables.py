@@ -23,7 +23,6 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.sections.rows import facets, named
 from gpusimbench.evaluator.report.source import Source
@@ -36,7 +35,7 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.published import AtLargest, Variability
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 _SPEED = {"free-fall": 1e4, "franka": 1e6}
 _EXPONENT = {"free-fall": 4, "franka": 6}

@@ -7,9 +7,9 @@ from markupsafe import Markup
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.player.markup import markup, script, style
 from gpusimbench.evaluator.render.document import Block, Embed, Item, Items, Section, Text
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections.rows import without
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.schemas.text import plural
 
 _HOW = (
     "Environments of a group over simulated time, all its complete runs together. Environments whose states were "

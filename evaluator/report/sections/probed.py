@@ -11,10 +11,11 @@ from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
 from gpusimbench.evaluator.probe.pairs import Found
 from gpusimbench.evaluator.probe.questions import Probed
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Item, Items, Section, Text, Tone, key_of, table
-from gpusimbench.evaluator.render.numbers import plural, ulps
+from gpusimbench.evaluator.render.numbers import ulps
 from gpusimbench.evaluator.report.sections.determinism_cost import ratio
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.determinism_cost import Family
+from gpusimbench.schemas.text import plural
 
 _TONES = {Answer.YES: Tone.GOOD, Answer.NO: Tone.BAD, Answer.OPEN: Tone.WARNING, Answer.NOT_ASKED: Tone.QUIET}
 _UNITS = {"m": (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("nm", 1e-9)),
@@ -105,7 +106,7 @@ def evidence(finding: Finding) -> str:
 
 
 def _found(found: Found) -> str:
-    pairs = f"{plural(found.pairs, 'pair')}"
+    pairs = plural(found.pairs, "pair")
     if found.level is Level.BIT_IDENTICAL:
         return f"bit-identical: {pairs}, {plural(found.steps, 'step')}"
     parts = [f"from step {found.first_step}, {found.differing} of {pairs}"]

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
 from gpusimbench.evaluator.render.document import Block, Cell, Item, Items, Row, Section, Text, Tone, table
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.runs.groups import shown_status, status_notes
 from gpusimbench.schemas.location import Location
+from gpusimbench.schemas.text import plural
 
 
 def section(source: Source) -> Section | None:

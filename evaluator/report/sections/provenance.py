@@ -22,14 +22,14 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.numbers import figure, interval, mean_sd, plural
+from gpusimbench.evaluator.render.numbers import figure, interval, mean_sd
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.sections.rows import by_simulator, facets
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.schemas.text import cut, first
+from gpusimbench.schemas.text import cut, first, plural
 from gpusimbench.schemas.treatment import initial_words
 
 _DEPTH = 3

@@ -6,12 +6,13 @@ from collections import Counter
 
 from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Row, Section, Table, Tone, key_of, table
-from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report.sections.rows import facets, ordered
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import shown_status
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.text import plural
 
 _TITLES = ("file", "status", "group", "run", "content hash", "created (UTC)")
 _DAY = len("2026-11-23")

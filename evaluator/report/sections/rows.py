@@ -22,12 +22,12 @@ from gpusimbench.evaluator.render.document import (
     key_of,
 )
 from gpusimbench.evaluator.render.figures.matrix import letter
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey
 from gpusimbench.evaluator.runs.labels import short_device
+from gpusimbench.schemas.text import plural
 
 Written = Callable[[GroupResult], Cell]
 """Writes the cell of a group in a column."""

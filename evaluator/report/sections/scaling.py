@@ -18,14 +18,14 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.scaling import LONGEST_END, SceneSweeps, scene_sweeps
 from gpusimbench.evaluator.report.sections.rows import facets
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 _HOW = (
     "Both axes are logarithmic. Ring: N_env^max, the largest number of environments with a complete run. Cross: the "

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.cells import ranked
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Facts, Item, Section, facts, items, key_of
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections.divergence import onset
 from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.sections.values import column_of, of_groups
@@ -17,6 +16,7 @@ from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
 from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.text import plural
 
 
 def section(source: Source) -> Section | None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Item, Section, Text, Tone, items
-from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written, lines_of, ordered, without
@@ -17,6 +17,7 @@ from gpusimbench.evaluator.results.cost_metrics import CAPTURE_OVERHEAD, FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.metric import Metric, Table
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.text import plural
 
 _HOW = (
     "Mean ± SD over runs, with the 95 % interval; times of building and compiling are medians. Throughput is "

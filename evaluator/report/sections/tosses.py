@@ -8,7 +8,7 @@ from dataclasses import replace
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Column, Section, Text
 from gpusimbench.evaluator.render.document import Table as Grid
-from gpusimbench.evaluator.render.numbers import figure, plural
+from gpusimbench.evaluator.render.numbers import figure
 from gpusimbench.evaluator.report.leaders import fastest, speaks_against_pair
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written
 from gpusimbench.evaluator.report.sections.values import column_of, of_groups
@@ -24,6 +24,7 @@ from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_ROTATION,
 )
 from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, ranked
+from gpusimbench.schemas.text import plural
 
 _LEGEND = (
     "Each simulated toss is compared with the toss of the set from whose first state it began, at the rows of the set.",
@@ -87,10 +88,7 @@ def _measured_floor(metric: Metric) -> tuple[Column, Written]:
         return EMPTY if floor is None else Cell(figure(floor, metric.unit), floor)
 
     title = f"free flight, {metric.title.removeprefix('local error of ')} [{metric.unit}]"
-    return Column(
-        title,
-        "the same error of a cube in free flight, which no simulation can go below",
-    ), cell
+    return Column(title, "the same error of a cube in free flight, which no simulation can go below"), cell
 
 
 def _whole(source: Source, order: Sequence[Ranked]) -> tuple[list[Block], str]:

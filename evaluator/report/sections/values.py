@@ -13,6 +13,7 @@ from gpusimbench.evaluator.report.sections.rows import Reasons, Written, facets,
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.metric import Estimate, Metric
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.text import plural
 
 
 def value(found: Estimate, reasons: Reasons, *notes: str, tone: Tone = Tone.PLAIN) -> Cell:
@@ -45,7 +46,7 @@ def of_groups(
     titles = (Column("group"), *(column for column, _ in (*of_place, *columns)))
     bare = len(written) - len(kept)
     legend = [*legend, *footnotes(source, (r for r, _ in kept))]
-    legend += [f"{numbers.plural(bare, 'group')} without any of these values left out"] if bare and kept else []
+    legend += [f"{plural(bare, 'group')} without any of these values left out"] if bare and kept else []
     whole = Table(key, caption, titles, rows, tuple(legend)).without_empty_columns()
     left_out: dict[str, list[str]] = {}
     for i, title in enumerate(titles):

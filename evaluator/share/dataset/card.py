@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from gpusimbench import schemas
 from gpusimbench.evaluator.json_values import brief
-from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import (
     Block,
@@ -38,7 +37,7 @@ from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.citation import Publication, quoted
 from gpusimbench.evaluator.share.dataset.contents import LookedAt, runs_of
 from gpusimbench.evaluator.share.dataset.licences import HUB_NAMES
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 CARD = "README.md"
 
@@ -117,7 +116,7 @@ def card_document(
     """What the page says below its title and the publisher's words."""
     results = evaluation.results
     held = list(runs_of(looked_at))
-    count, groups = numbers.plural(len(looked_at), "recording"), numbers.plural(len(results), "group")
+    count, groups = plural(len(looked_at), "recording"), plural(len(results), "group")
     blocks: list[Block] = [
         Text(f"{count} of robot simulators, {size / 1e6:.1f} MB, in {groups}. {_FILES}"),
         facts(("Content of all recordings", Cell(f"sha256:{identity}", code=True))),

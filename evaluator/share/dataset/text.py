@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Iterator
 
 from gpusimbench.evaluator.json_values import dump, picked
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.share.dataset.contents import DAMAGED
 from gpusimbench.evaluator.share.dataset.publish import Published
 from gpusimbench.evaluator.share.dataset.verify import Verification
 from gpusimbench.schemas import __version__
+from gpusimbench.schemas.text import plural
 
 SCHEMA_VERSION = 1
 

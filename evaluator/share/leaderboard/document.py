@@ -22,7 +22,6 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.document import Section as Part
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.sections.rows import facets
 from gpusimbench.evaluator.report.verdicts import QUESTIONS
@@ -33,7 +32,7 @@ from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.share.leaderboard import words
 from gpusimbench.evaluator.share.leaderboard.standing import ELSEWHERE, Board, Section
 from gpusimbench.evaluator.share.leaderboard.standing import Row as Standing
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 _LEAD = (
     "Computed from {}, and from nothing else: no figure here was typed in. Each row names its recordings by content "

@@ -9,12 +9,11 @@ from functools import cache
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
 from gpusimbench.evaluator.render.cells import ranked
-from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.share.dataset.contents import BROKEN
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
 from gpusimbench.evaluator.share.leaderboard.standing import Board, Row
-from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.text import cut, plural
 
 _SHORT = 10
 _LONGEST = 100

@@ -153,10 +153,10 @@ def _original(file: Place) -> list[Recording]:
 
 
 def _replayed(original: Recording, arguments: argparse.Namespace, success: str | None) -> Path:
-    from gpusimbench.evaluator.render.numbers import plural
     from gpusimbench.replay.dataset import require_gymnasium
     from gpusimbench.replay.origin import given, origin_of
     from gpusimbench.replay.parts import given_at_first, infos_of, parts_of, seed_of
+    from gpusimbench.schemas.text import plural
 
     require_gymnasium()
     from gpusimbench.recorder.vector.making import of_factory, registered
