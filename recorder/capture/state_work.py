@@ -88,11 +88,48 @@ class Work(Protocol):
         """Begin on rows to be written, and on rows to be hashed."""
 
 
-class _Piece(NamedTuple):
-    # some rows of some ranges of the same size, which one thread looks at
-    states: Arrays
-    first_row: int
-    first_env: int
+class Piece(NamedTuple):
+    """Rows of a group of ranges, whose hashes one thread or process makes.
+
+    group  index of the group in Read.groups
+    """
+
+    group: int
+    rows: slice
+
+
+Hash = Callable[[Read, Sequence[Piece], NDArray[np.uint64]], Iterable[list[NotFinite]]]
+"""Has the hashes of pieces put into an array [row, env]; what is not finite comes once they are there."""
+
+
+def hash_piece(
+    fields: Sequence[StateField],
+    ranges: Ranges,
+    may_fail: frozenset[int],
+    read: Read,
+    piece: Piece,
+    hashes: NDArray[np.uint64],
+) -> list[NotFinite]:
+    """Put the state hashes of a piece into `hashes` [row, env]; returns for each field the first number that is not
+    finite.
+
+    may_fail  environments whose states need not be finite
+    """
+    arrays = tuple(array[:, piece.rows] for array in read.states[piece.group])
+    envs, first_row = ranges.envs(read.groups[piece.group]), piece.rows.start
+    some, rows, each = arrays[0].shape[:3]
+    found = []
+    for field, array in zip(fields, arrays, strict=True):
+        if np.isfinite(array).all():
+            continue
+        wrong = (~np.isfinite(array)).swapaxes(0, 1).reshape(rows, some * each, *array.shape[3:])
+        wrong[:, np.isin(np.arange(envs.start, envs.stop), list(may_fail))] = False
+        if wrong.any():
+            row, env, item, _ = (int(i) for i in np.argwhere(wrong)[0])
+            where = f"{field.name} of {field.items[item]}" if field.items[item] else field.name
+            found.append((first_row + row, envs.start + env, where))
+    hashes[first_row : first_row + rows, envs] = fingerprint(arrays).swapaxes(0, 1).reshape(rows, some * each)
+    return found
 
 
 class StateWork:
@@ -101,6 +138,7 @@ class StateWork:
     may_fail  environments whose states need not be finite
     digest    takes the states and the message of the hashes
     hashes    memory of the hashes [row, env] of so many rows
+    hash_by   has the hashes made; None: by the threads
     """
 
     def __init__(
@@ -114,6 +152,7 @@ class StateWork:
         digest: ContentDigest,
         workers: Workers,
         hashes: Callable[[int], NDArray[np.uint64]] | None = None,
+        hash_by: Hash | None = None,
     ) -> None:
         self._fields = fields
         self._ranges = ranges
@@ -123,6 +162,7 @@ class StateWork:
         self._sha256 = digest
         self._workers = workers
         self._hashes = hashes or (lambda rows: np.empty((rows, ranges.n_env), dtype=np.uint64))
+        self._hash_by = hash_by or self._by_threads
 
     def begin(self, stored: Stored | None, read: Read | None) -> Begun:
         """See Work."""
@@ -135,49 +175,29 @@ class StateWork:
             blocks = start(lambda place: self._block(stored, *place), places)
             digesting = start(lambda field: self._digest(field, stored), range(len(self._fields)))
         if read is not None:
-            pieces = self._pieces(read)
-            looked_at = start(self._look, pieces)
-            hashed = start(lambda _: self._gather(read, pieces, looked_at), (0,))
+            hashes = self._hashes(read.states[0][0].shape[1])
+            found = self._hash_by(read, self._pieces(read), hashes)
+            hashed = start(lambda _: self._gather(read, hashes, found), (0,))
         return Begun(blocks, digesting, hashed)
 
-    def _pieces(self, read: Read) -> list[_Piece]:
+    def _pieces(self, read: Read) -> list[Piece]:
         # where there are few ranges of environments, steps are shared out as well, among threads if there are any
         rows = read.states[0][0].shape[1]
         size = rows if self._workers.alone else max(1, -(-rows * len(read.groups) // _PIECES))
         return [
-            _Piece(tuple(array[:, row : row + size] for array in states), row, self._ranges.starts[ranges.start])
-            for ranges, states in zip(read.groups, read.states, strict=True)
+            Piece(group, slice(row, min(row + size, rows)))
+            for group in range(len(read.groups))
             for row in range(0, rows, size)
         ]
 
-    def _look(self, piece: _Piece) -> tuple[NDArray[np.uint64], list[NotFinite]]:
-        # hashes [row, env], and for each field the first number that is not finite
-        ranges, rows, envs = piece.states[0].shape[:3]
-        found = []
-        for field, array in zip(self._fields, piece.states, strict=True):
-            if np.isfinite(array).all():
-                continue
-            wrong = (~np.isfinite(array)).swapaxes(0, 1).reshape(rows, ranges * envs, *array.shape[3:])
-            wrong[:, np.isin(piece.first_env + np.arange(ranges * envs), list(self._may_fail))] = False
-            if wrong.any():
-                row, env, item, _ = (int(i) for i in np.argwhere(wrong)[0])
-                where = f"{field.name} of {field.items[item]}" if field.items[item] else field.name
-                found.append((piece.first_row + row, piece.first_env + env, where))
-        return fingerprint(piece.states).swapaxes(0, 1).reshape(rows, ranges * envs), found
+    def _by_threads(self, read: Read, pieces: Sequence[Piece], hashes: NDArray[np.uint64]) -> Iterable[list[NotFinite]]:
+        return self._workers.start(
+            lambda piece: hash_piece(self._fields, self._ranges, self._may_fail, read, piece, hashes), pieces
+        )
 
-    def _gather(
-        self,
-        read: Read,
-        pieces: Sequence[_Piece],
-        looked_at: Iterable[tuple[NDArray[np.uint64], list[NotFinite]]],
-    ) -> Hashed:
+    def _gather(self, read: Read, hashes: NDArray[np.uint64], looked_at: Iterable[list[NotFinite]]) -> Hashed:
         # the messages of a block's hashes, digested, and what is not finite
-        hashes = self._hashes(read.states[0][0].shape[1])
-        found = []
-        for piece, (some, not_finite) in zip(pieces, looked_at, strict=True):
-            stop, envs = piece.first_row + some.shape[0], piece.first_env + some.shape[1]
-            hashes[piece.first_row : stop, piece.first_env : envs] = some
-            found += not_finite
+        found = [place for some in looked_at for place in some]
         messages = hash_messages(hashes, first_step=read.first_step)
         for message in messages:
             self._sha256.message(topics.fingerprint("capture"), *(part.data for part in message))

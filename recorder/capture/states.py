@@ -22,7 +22,7 @@ from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import encode_fingerprints, little_endian
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.fingerprint import ALGORITHM
+from gpusimbench.schemas.fingerprint import ALGORITHM, expect
 
 _ALONE_BYTES = 2 << 20  # blocks up to this size are not worth other threads: 1.1 MB took a fifth more time with two
 
@@ -114,9 +114,11 @@ class StateWriter:
         if not self.workers.alone and worthwhile(size):
             with suppress(Exception):  # no memory, no process, a program that lets none start: threads do the same
                 self._process = WorkProcess(
-                    self.fields, n_env=n_env, rows=self._rows, dt=dt, stride=stride, may_fail=may_fail, size=size
+                    self.fields, n_env=n_env, rows=self._rows, dt=dt, stride=stride, may_fail=may_fail
                 )
                 sink.at_end(self._process.close)
+        if self._process is None and size is not None:
+            expect(size)
         self._view = view
         self._first_step = first_step
         self.last_step = first_step - 1

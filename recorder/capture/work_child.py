@@ -6,8 +6,7 @@ import mmap
 import os
 import signal
 import sys
-import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.ranges import BlockMemory, Ranges, columns_of
-from gpusimbench.recorder.capture.state_work import Message, Read, StateWork, Stored
+from gpusimbench.recorder.capture.state_work import Message, NotFinite, Piece, Read, StateWork, Stored, hash_piece
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.fingerprint import expect
+from gpusimbench.schemas.fingerprint import without_compiling
 from gpusimbench.schemas.mcap.assembly import Assembly, Buffer, Place, Records
 
 if TYPE_CHECKING:
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 
 READ, HELD = 0, 1  # numbers of memories
 _RECORD_BYTES = 1024  # of a message beside its array, at most: heads, indexes
+_MOST_HASHING = 4
 _LOOK_S = 2.0  # between two looks at whether the process that is worked for is still there
 _OWN = {
     signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP, signal.SIGSYS,
@@ -39,8 +39,7 @@ _OWN = {
 class Task(NamedTuple):
     """What all blocks have in common.
 
-    rows      that a block has room for
-    expected  bytes of states that are going to be hashed, see schemas.fingerprint
+    rows  that a block has room for
     """
 
     fields: tuple[StateField, ...]
@@ -49,7 +48,6 @@ class Task(NamedTuple):
     dt: float
     stride: int
     may_fail: frozenset[int]
-    expected: int
 
 
 class Order(NamedTuple):
@@ -81,6 +79,11 @@ class Shared:
         self._bytes = np.frombuffer(buffer, np.uint8)
         self._other = 2 * block + hashes
 
+    def read(self, ranges: Ranges, rows: int, first_step: int) -> Read:
+        """So many rows that were read."""
+        groups = ranges.groups()
+        return Read(first_step, groups, [self.memories[READ].part(group, slice(rows)) for group in groups])
+
     def put(self, pieces: Sequence[Buffer]) -> NDArray[np.int64]:
         """Where pieces are, [piece, (offset, size)]: in this memory, or copied there, until the next ones are."""
         begin, end = self._bytes.ctypes.data, self._other
@@ -105,6 +108,62 @@ class Shared:
         return [view[offset : offset + size] for offset, size in places.tolist()]
 
 
+class HashProcesses:
+    """Copies of this process that hash states, each in one thread: hashes by numpy are many short calls, and threads
+    that make such calls wait for each other's turn with the interpreter.
+
+    They end with this process, whose end of their connections closes.
+    """
+
+    def __init__(self, task: Task, shared: Shared, ranges: Ranges, other: Connection) -> None:
+        """other  connection of this process that is not theirs"""
+        from multiprocessing.connection import Pipe
+
+        self._connections: list[Connection] = []
+        for _ in range(max(1, min(_MOST_HASHING, len(os.sched_getaffinity(0)) // 4))):
+            ours, theirs = Pipe()
+            if os.fork():
+                theirs.close()
+                self._connections.append(ours)
+                continue
+            try:
+                for inherited in (*self._connections, ours, other):
+                    inherited.close()
+                _hash_until_closed(theirs, task, shared, ranges)
+            finally:
+                os._exit(0)
+
+    def start(self, read: Read, pieces: Sequence[Piece], _: NDArray[np.uint64]) -> Iterator[list[NotFinite]]:
+        """See state_work.Hash; the rows and the hashes are those of the shared memory."""
+        rows = read.states[0][0].shape[1]
+        for number, connection in enumerate(self._connections):
+            connection.send((rows, pieces[number :: len(self._connections)]))
+        return self._found()
+
+    def _found(self) -> Iterator[list[NotFinite]]:
+        for connection in self._connections:
+            try:
+                found = connection.recv()
+            except (EOFError, ConnectionResetError):
+                raise RuntimeError("a process that hashes states ended") from None
+            if isinstance(found, Exception):
+                raise found
+            yield found
+
+
+def _hash_until_closed(connection: Connection, task: Task, shared: Shared, ranges: Ranges) -> None:
+    without_compiling()  # by several processes, numpy's hashes are there as soon
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        while True:
+            rows, pieces = connection.recv()
+            read, hashes = shared.read(ranges, rows, 0), shared.hashes[:rows]
+            try:
+                found = [hash_piece(task.fields, ranges, task.may_fail, read, piece, hashes) for piece in pieces]
+                connection.send([place for some in found for place in some])
+            except Exception as error:
+                connection.send(error if isinstance(error, MemoryError) else RuntimeError(f"{error}"))
+
+
 def work(connection: Connection, memory: int) -> None:
     """Answer orders until the other end of the connection is closed.
 
@@ -114,13 +173,11 @@ def work(connection: Connection, memory: int) -> None:
     """
     task: Task = connection.recv()
     shared, ranges, digest = Shared(memory, task), Ranges(task.n_env), ContentDigest()
+    hashing = HashProcesses(task, shared, ranges, connection)  # before there are threads
     connection.send("ready")
-    # numba takes seconds to load, and hashes are the same without it
-    threading.Thread(target=expect, args=(task.expected,), daemon=True).start()
-    groups = ranges.groups()
     state_work = StateWork(
         task.fields, ranges, dt=task.dt, stride=task.stride, may_fail=task.may_fail, digest=digest,
-        workers=Workers(small=False), hashes=lambda rows: shared.hashes[:rows],
+        workers=Workers(small=False), hashes=lambda rows: shared.hashes[:rows], hash_by=hashing.start,
     )  # fmt: skip
     parent = os.getppid()
     while True:
@@ -138,8 +195,7 @@ def work(connection: Connection, memory: int) -> None:
             stored = Stored(first, columns_of(together), together, place=place)
         if order.read is not None:
             rows, first = order.read
-            states = [shared.memories[READ].part(group, slice(rows)) for group in groups]
-            read = Read(first, groups, states)
+            read = shared.read(ranges, rows, first)
         begun = state_work.begin(stored, read)
         if stored is not None and stored.place is not None:
             records = assembled(stored.place, begun.blocks, EPOCH_NS + sim_time_ns(stored.first_step, task.dt))

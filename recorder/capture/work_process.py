@@ -27,7 +27,6 @@ from gpusimbench.recorder.capture.work_child import Order, Shared, Task
 from gpusimbench.recorder.interruption import blocked
 from gpusimbench.schemas.blocks import raw_bytes
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.fingerprint import expected
 from gpusimbench.schemas.mcap.assembly import Part, Records
 
 LEAST_CPUS = 4  # with fewer, the process takes them from the engine
@@ -67,14 +66,11 @@ class WorkProcess:
         dt: float,
         stride: int,
         may_fail: frozenset[int],
-        size: int | None,
     ) -> None:
-        """rows  that a block has at most
-        size  bytes of all states; None: it is not known
-        """
+        """rows  that a block has at most"""
         from multiprocessing.connection import Pipe  # takes 15 ms to load, which whoever starts no process is spared
 
-        task = Task(_plain(fields), n_env, rows, dt, stride, may_fail, max(expected(), size or 0))
+        task = Task(_plain(fields), n_env, rows, dt, stride, may_fail)
         self._owner = os.getpid()
         self._digests: dict[str, str] | None = None
         with ExitStack() as here, ExitStack() as failing:

@@ -25,7 +25,6 @@ from gpusimbench.recorder.simulators.captured import RING_BLOCKS
 from gpusimbench.schemas.arrays import MEDIA_TYPE
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, DataLost
-from gpusimbench.schemas.fingerprint import expect
 from gpusimbench.schemas.treatment import Intervention, snapshot_name
 
 
@@ -104,7 +103,6 @@ class CapturePhase:
         c, sink = self._configuration, self._journal.sink
         view = self._view(simulator.scene, description) if c.view else None
         intervention = Intervention.parse(c.intervention) if c.intervention else None
-        expect((c.captured_steps + 1) * row_bytes(c.n_env, description.fields))
         writer = self.writer = StateWriter(
             sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, first_step=c.first_step, view=view,
             may_fail=intervention.poisoned(c.n_env) if intervention else frozenset(),

@@ -23,7 +23,7 @@ from gpusimbench.evaluator.read.episodes import count_episodes, episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.device import rows
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
-from gpusimbench.recorder.vector.device.states import seeds_of
+from gpusimbench.recorder.vector.device.states import Layout, seeds_of
 from gpusimbench.schemas.images import image_hashes
 from tests.conftest import run_python
 
@@ -207,6 +207,17 @@ def test_steps_transfer_nothing(tmp_path: Path) -> None:
     for action in actions[45:]:
         state = recorded.step(state, action)
     assert read(tmp_path / "a.mcap").status == "complete"
+
+
+def test_steps_start_no_function_for_what_is_not_there() -> None:
+    """Where states tell no truncation, the zeros that stand for it are made once."""
+    state = falling(reset=False).reset(keys())
+    silent = state.replace(info={name: array for name, array in state.info.items() if name != "truncation"})
+    layout = Layout(silent, infos=(), physics=False)
+    first, second = (layout.row(silent, drawn(1)[0])["truncation"] for _ in range(2))
+    assert first is second
+    assert not np.asarray(first).any()
+    assert np.array_equal(layout.row(state, drawn(1)[0])["truncation"], state.info["truncation"])
 
 
 def test_the_file_does_not_depend_on_when_blocks_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

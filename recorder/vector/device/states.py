@@ -66,6 +66,7 @@ class Layout:
             if not self._physics:
                 raise UsageError("physics is recorded of states with data or pipeline_state, which have qpos and qvel")
         self._single = not state.reward.shape
+        self._zeros: Any = None
         self._axes = (slice(None), None) if stacked else (None,)
 
     def seen(self, state: Any) -> Row:
@@ -81,9 +82,15 @@ class Layout:
         truncation = info["steps"] >= self._full if self._full and "steps" in info else info.get("truncation")
         told = {f"{INFO}{name}": _scalar(state, name) for name in self._infos}
         done = state.done
-        of_step = {DONE: done, TRUNCATION: done * 0 if truncation is None else truncation}
+        of_step = {DONE: done, TRUNCATION: self._nowhere(done) if truncation is None else truncation}
         acted = self._batched(_arrays(action, "action"))
         return {**acted, **self.seen(state), **self._batched({"reward": state.reward, **of_step, **told})}
+
+    def _nowhere(self, done: Any) -> Any:
+        # made once: JAX takes a thread that keeps a device busy 0.1 ms to start a function, however small
+        if self._zeros is None or (self._zeros.shape, self._zeros.dtype) != (done.shape, done.dtype):
+            self._zeros = done * 0
+        return self._zeros
 
     def first(self, state: Any, action: Any) -> Row:
         """The row of a state that no step led to."""
