@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -18,7 +18,8 @@ from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.mcap.assembly import Part, Place, Records
 
-_PIECES = 8  # of a block, at least, to be shared among threads
+PIECES = 8
+"""Of a block, at least, to be shared among threads."""
 
 Message = tuple[Part, ...]
 NotFinite = tuple[int, int, str]
@@ -98,10 +99,6 @@ class Piece(NamedTuple):
     rows: slice
 
 
-Hash = Callable[[Read, Sequence[Piece], NDArray[np.uint64]], Iterable[list[NotFinite]]]
-"""Has the hashes of pieces put into an array [row, env]; what is not finite comes once they are there."""
-
-
 def hash_piece(
     fields: Sequence[StateField],
     ranges: Ranges,
@@ -132,13 +129,50 @@ def hash_piece(
     return found
 
 
+def pieces_of(read: Read, least: int) -> list[Piece]:
+    """All that was read in pieces: at least so many, where there are as many rows."""
+    rows = read.states[0][0].shape[1]
+    size = max(1, -(-rows * len(read.groups) // least))
+    return [
+        Piece(group, slice(row, min(row + size, rows)))
+        for group in range(len(read.groups))
+        for row in range(0, rows, size)
+    ]
+
+
+def digest_field(digest: ContentDigest, fields: Sequence[StateField], index: int, n_env: int, stored: Stored) -> None:
+    """Feed the next rows of a field to its digest."""
+    field = fields[index]
+    if stored.whole:
+        digest.state(field, n_env, stored.whole[index])
+    elif stored.side_by_side:
+        digest.state_ranges(field, n_env, [states[index] for states in stored.side_by_side])
+    else:
+        digest.state_columns(field, n_env, [states[index] for states in stored.columns])
+
+
+def places_of(stored: Stored, fields: Sequence[StateField]) -> list[tuple[int, int]]:
+    """Range of environments and field of each message, in the order of the file."""
+    return [(column, field) for column in range(len(stored.columns)) for field in range(len(fields))]
+
+
+def block_of(stored: Stored, place: tuple[int, int], ranges: Ranges, *, dt: float, stride: int) -> Message:
+    """The message of a place."""
+    column, index = place
+    return state_parts(
+        stored.columns[column][index],
+        first_step=stored.first_step,
+        stride=stride,
+        env_start=ranges.starts[column],
+        sim_time_ns=sim_time_ns(stored.first_step, dt),
+    )
+
+
 class StateWork:
     """Does the work by the threads of this process.
 
     may_fail  environments whose states need not be finite
     digest    takes the states and the message of the hashes
-    hashes    memory of the hashes [row, env] of so many rows
-    hash_by   has the hashes made; None: by the threads
     """
 
     def __init__(
@@ -151,8 +185,6 @@ class StateWork:
         may_fail: frozenset[int],
         digest: ContentDigest,
         workers: Workers,
-        hashes: Callable[[int], NDArray[np.uint64]] | None = None,
-        hash_by: Hash | None = None,
     ) -> None:
         self._fields = fields
         self._ranges = ranges
@@ -161,8 +193,6 @@ class StateWork:
         self._may_fail = may_fail
         self._sha256 = digest
         self._workers = workers
-        self._hashes = hashes or (lambda rows: np.empty((rows, ranges.n_env), dtype=np.uint64))
-        self._hash_by = hash_by or self._by_threads
 
     def begin(self, stored: Stored | None, read: Read | None) -> Begun:
         """See Work."""
@@ -171,52 +201,30 @@ class StateWork:
         digesting: Iterable[object] = ()
         hashed: Iterable[Hashed] = ()
         if stored is not None:
-            places = [(column, field) for column in range(len(stored.columns)) for field in range(len(self._fields))]
-            blocks = start(lambda place: self._block(stored, *place), places)
-            digesting = start(lambda field: self._digest(field, stored), range(len(self._fields)))
+            blocks = start(
+                lambda place: block_of(stored, place, self._ranges, dt=self._dt, stride=self._stride),
+                places_of(stored, self._fields),
+            )
+            digesting = start(
+                lambda field: digest_field(self._sha256, self._fields, field, self._ranges.n_env, stored),
+                range(len(self._fields)),
+            )
         if read is not None:
-            hashes = self._hashes(read.states[0][0].shape[1])
-            found = self._hash_by(read, self._pieces(read), hashes)
-            hashed = start(lambda _: self._gather(read, hashes, found), (0,))
+            hashes = np.empty((read.states[0][0].shape[1], self._ranges.n_env), dtype=np.uint64)
+            found = start(
+                lambda piece: hash_piece(self._fields, self._ranges, self._may_fail, read, piece, hashes),
+                pieces_of(read, 1 if self._workers.alone else PIECES),
+            )
+            hashed = start(lambda _: gathered(hashes, read.first_step, found, self._sha256), (0,))
         return Begun(blocks, digesting, hashed)
 
-    def _pieces(self, read: Read) -> list[Piece]:
-        # where there are few ranges of environments, steps are shared out as well, among threads if there are any
-        rows = read.states[0][0].shape[1]
-        size = rows if self._workers.alone else max(1, -(-rows * len(read.groups) // _PIECES))
-        return [
-            Piece(group, slice(row, min(row + size, rows)))
-            for group in range(len(read.groups))
-            for row in range(0, rows, size)
-        ]
 
-    def _by_threads(self, read: Read, pieces: Sequence[Piece], hashes: NDArray[np.uint64]) -> Iterable[list[NotFinite]]:
-        return self._workers.start(
-            lambda piece: hash_piece(self._fields, self._ranges, self._may_fail, read, piece, hashes), pieces
-        )
-
-    def _gather(self, read: Read, hashes: NDArray[np.uint64], looked_at: Iterable[list[NotFinite]]) -> Hashed:
-        # the messages of a block's hashes, digested, and what is not finite
-        found = [place for some in looked_at for place in some]
-        messages = hash_messages(hashes, first_step=read.first_step)
-        for message in messages:
-            self._sha256.message(topics.fingerprint("capture"), *(part.data for part in message))
-        return messages, found
-
-    def _digest(self, index: int, stored: Stored) -> None:
-        field, n_env = self._fields[index], self._ranges.n_env
-        if stored.whole:
-            self._sha256.state(field, n_env, stored.whole[index])
-        elif stored.side_by_side:
-            self._sha256.state_ranges(field, n_env, [states[index] for states in stored.side_by_side])
-        else:
-            self._sha256.state_columns(field, n_env, [states[index] for states in stored.columns])
-
-    def _block(self, stored: Stored, column: int, index: int) -> Message:
-        return state_parts(
-            stored.columns[column][index],
-            first_step=stored.first_step,
-            stride=self._stride,
-            env_start=self._ranges.starts[column],
-            sim_time_ns=sim_time_ns(stored.first_step, self._dt),
-        )
+def gathered(
+    hashes: NDArray[np.uint64], first_step: int, found: Iterable[list[NotFinite]], digest: ContentDigest
+) -> Hashed:
+    """The messages of the hashes [row, env] of a block, digested, once they are there, and what is not finite."""
+    not_finite = [place for some in found for place in some]
+    messages = hash_messages(hashes, first_step=first_step)
+    for message in messages:
+        digest.message(topics.fingerprint("capture"), *(part.data for part in message))
+    return messages, not_finite

@@ -8,26 +8,38 @@ import signal
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.capture.ranges import BlockMemory, Ranges, columns_of
-from gpusimbench.recorder.capture.state_work import Message, NotFinite, Piece, Read, StateWork, Stored, hash_piece
-from gpusimbench.recorder.capture.workers import Workers
+from gpusimbench.recorder.capture.ranges import BlockMemory, Ranges, columns_of, row_bytes
+from gpusimbench.recorder.capture.state_work import (
+    Message,
+    Read,
+    Stored,
+    block_of,
+    digest_field,
+    gathered,
+    hash_piece,
+    pieces_of,
+    places_of,
+)  # fmt: skip
+from gpusimbench.recorder.capture.workers import sharers
+from gpusimbench.schemas.blocks import raw_bytes
 from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import without_compiling
-from gpusimbench.schemas.mcap.assembly import Assembly, Buffer, Place, Records
+from gpusimbench.schemas.mcap.assembly import Assembly, Buffer, Part, Place, Records
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
 READ, HELD = 0, 1  # numbers of memories
 _RECORD_BYTES = 1024  # of a message beside its array, at most: heads, indexes
-_MOST_HASHING = 4
+_PIECES = 4  # whose hashes each process makes, about
+_DIGEST_NS, _HASH_NS = 0.8, 0.5  # that a byte takes, about: so that all have equally much to do
 _LOOK_S = 2.0  # between two looks at whether the process that is worked for is still there
 _OWN = {
     signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP, signal.SIGSYS,
@@ -79,10 +91,21 @@ class Shared:
         self._bytes = np.frombuffer(buffer, np.uint8)
         self._other = 2 * block + hashes
 
-    def read(self, ranges: Ranges, rows: int, first_step: int) -> Read:
-        """So many rows that were read."""
+    def stored(self, order: Order) -> Stored | None:
+        """The rows that an order has written."""
+        if order.stored is None:
+            return None
+        which, rows, first, place = order.stored
+        together = self.memories[which].side_by_side(slice(rows))
+        return Stored(first, columns_of(together), together, place=place)
+
+    def read(self, order: Order, ranges: Ranges) -> Read | None:
+        """The rows that an order has hashed."""
+        if order.read is None:
+            return None
+        rows, first = order.read
         groups = ranges.groups()
-        return Read(first_step, groups, [self.memories[READ].part(group, slice(rows)) for group in groups])
+        return Read(first, groups, [self.memories[READ].part(group, slice(rows)) for group in groups])
 
     def put(self, pieces: Sequence[Buffer]) -> NDArray[np.int64]:
         """Where pieces are, [piece, (offset, size)]: in this memory, or copied there, until the next ones are."""
@@ -108,11 +131,11 @@ class Shared:
         return [view[offset : offset + size] for offset, size in places.tolist()]
 
 
-class HashProcesses:
-    """Copies of this process that hash states, each in one thread: hashes by numpy are many short calls, and threads
-    that make such calls wait for each other's turn with the interpreter.
+class _Sharing:
+    """Copies of this process that share the work on a block, each in one thread: threads that hash by numpy make many
+    short calls, and wait for each other's turn with the interpreter.
 
-    They end with this process, whose end of their connections closes.
+    They end with this process, whose ends of their connections close.
     """
 
     def __init__(self, task: Task, shared: Shared, ranges: Ranges, other: Connection) -> None:
@@ -120,7 +143,8 @@ class HashProcesses:
         from multiprocessing.connection import Pipe
 
         self._connections: list[Connection] = []
-        for _ in range(max(1, min(_MOST_HASHING, len(os.sched_getaffinity(0)) // 4))):
+        count = sharers()
+        for number in range(count):
             ours, theirs = Pipe()
             if os.fork():
                 theirs.close()
@@ -129,39 +153,85 @@ class HashProcesses:
             try:
                 for inherited in (*self._connections, ours, other):
                     inherited.close()
-                _hash_until_closed(theirs, task, shared, ranges)
+                _Share(task, shared, ranges, number, count).work(theirs)
             finally:
                 os._exit(0)
 
-    def start(self, read: Read, pieces: Sequence[Piece], _: NDArray[np.uint64]) -> Iterator[list[NotFinite]]:
-        """See state_work.Hash; the rows and the hashes are those of the shared memory."""
-        rows = read.states[0][0].shape[1]
-        for number, connection in enumerate(self._connections):
-            connection.send((rows, pieces[number :: len(self._connections)]))
-        return self._found()
+    def begin(self, order: Order | None) -> None:
+        """Have all of them begin."""
+        for connection in self._connections:
+            with suppress(BrokenPipeError, ConnectionResetError):  # that one has ended is found when it is to answer
+                connection.send(order)
 
-    def _found(self) -> Iterator[list[NotFinite]]:
+    def receive(self) -> list[Any]:
+        """What each of them has to say next."""
+        found = []
         for connection in self._connections:
             try:
-                found = connection.recv()
+                found.append(connection.recv())
             except (EOFError, ConnectionResetError):
-                raise RuntimeError("a process that hashes states ended") from None
-            if isinstance(found, Exception):
-                raise found
-            yield found
+                raise RuntimeError("a process that hashes and digests states ended") from None
+            if isinstance(found[-1], Exception):
+                raise found[-1]
+        return found
 
 
-def _hash_until_closed(connection: Connection, task: Task, shared: Shared, ranges: Ranges) -> None:
-    without_compiling()  # by several processes, numpy's hashes are there as soon
-    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        while True:
-            rows, pieces = connection.recv()
-            read, hashes = shared.read(ranges, rows, 0), shared.hashes[:rows]
-            try:
-                found = [hash_piece(task.fields, ranges, task.may_fail, read, piece, hashes) for piece in pieces]
-                connection.send([place for some in found for place in some])
-            except Exception as error:
-                connection.send(error if isinstance(error, MemoryError) else RuntimeError(f"{error}"))
+class _Share:
+    """The work of one of `count` processes: the messages of every count-th place; some fields' digests; some hashes."""
+
+    def __init__(self, task: Task, shared: Shared, ranges: Ranges, number: int, count: int) -> None:
+        self._task, self._shared, self._ranges, self._number, self._count = task, shared, ranges, number, count
+        self._digest = ContentDigest()
+        self._loads = [0.0] * count  # of a row's digests
+        widths = [row_bytes(task.n_env, [field]) for field in task.fields]
+        self._fields = dealt([_DIGEST_NS * width for width in widths], self._loads)[number]
+        self._hash_ns = _HASH_NS * sum(widths)
+        without_compiling()  # that takes 2 s, after which several processes are hardly sooner
+
+    def work(self, connection: Connection) -> None:
+        """Answer orders until the other end is closed: by heads and CRCs; then None once digested; then by what is not
+        finite, once there are hashes. None is answered by the digests."""
+        with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+            while True:
+                order = connection.recv()
+                try:
+                    for answer in self._answers(order) if order else (self._digest.digests(),):
+                        connection.send(answer)
+                except (BrokenPipeError, ConnectionResetError):
+                    raise
+                except Exception as error:
+                    connection.send(error if isinstance(error, MemoryError) else RuntimeError(f"{error}"))
+
+    def _answers(self, order: Order) -> Iterator[Any]:
+        task = self._task
+        stored, read = self._shared.stored(order), self._shared.read(order, self._ranges)
+        if stored is not None:
+            places = places_of(stored, task.fields)[self._number :: self._count]
+            blocks = (block_of(stored, place, self._ranges, dt=task.dt, stride=task.stride) for place in places)
+            yield [(bytes(head.data), array.crc) for head, array in blocks]
+            for index in self._fields:
+                digest_field(self._digest, task.fields, index, task.n_env, stored)
+            yield None
+        if read is not None:
+            hashes = self._shared.hashes[: read.states[0][0].shape[1]]
+            pieces = pieces_of(read, _PIECES * self._count)
+            loads = [load * len(stored.columns[0][0]) if stored else 0.0 for load in self._loads]
+            costs = [self._hash_ns * (piece.rows.stop - piece.rows.start) * len(read.groups[piece.group])
+                     / len(self._ranges.starts) for piece in pieces]  # fmt: skip
+            mine = [pieces[index] for index in dealt(costs, loads)[self._number]]
+            found = [hash_piece(task.fields, self._ranges, task.may_fail, read, piece, hashes) for piece in mine]
+            yield [place for some in found for place in some]
+
+
+def dealt(costs: Sequence[float], loads: list[float]) -> list[list[int]]:
+    """Items dealt out, [holder, index]: the costly ones first, each to who has least to do; its cost is added to the
+    load."""
+    hands: list[list[int]] = [[] for _ in loads]
+    for index in sorted(range(len(costs)), key=lambda index: -costs[index]):
+        holder = min(range(len(loads)), key=loads.__getitem__)
+        hands[holder].append(index)
+        loads[holder] += costs[index]
+    return hands
 
 
 def work(connection: Connection, memory: int) -> None:
@@ -173,41 +243,38 @@ def work(connection: Connection, memory: int) -> None:
     """
     task: Task = connection.recv()
     shared, ranges, digest = Shared(memory, task), Ranges(task.n_env), ContentDigest()
-    hashing = HashProcesses(task, shared, ranges, connection)  # before there are threads
+    sharing = _Sharing(task, shared, ranges, connection)
     connection.send("ready")
-    state_work = StateWork(
-        task.fields, ranges, dt=task.dt, stride=task.stride, may_fail=task.may_fail, digest=digest,
-        workers=Workers(small=False), hashes=lambda rows: shared.hashes[:rows], hash_by=hashing.start,
-    )  # fmt: skip
     parent = os.getppid()
     while True:
         while not connection.poll(_LOOK_S):
             if os.getppid() != parent:  # a copy of it may hold the connection open
                 return
         order = connection.recv()
-        if not isinstance(order, Order):
-            connection.send(digest.digests())
+        sharing.begin(order)
+        if order is None:
+            digests = digest.digests()
+            for some in sharing.receive():
+                digests |= some
+            connection.send(digests)
             continue
-        stored = read = None
-        if order.stored is not None:
-            which, rows, first, place = order.stored
-            together = shared.memories[which].side_by_side(slice(rows))
-            stored = Stored(first, columns_of(together), together, place=place)
-        if order.read is not None:
-            rows, first = order.read
-            read = shared.read(ranges, rows, first)
-        begun = state_work.begin(stored, read)
-        if stored is not None and stored.place is not None:
-            records = assembled(stored.place, begun.blocks, EPOCH_NS + sim_time_ns(stored.first_step, task.dt))
-            connection.send((shared.put(records.pieces), records._replace(pieces=())))
-        elif stored is not None:
-            connection.send([(bytes(head.data), array.crc) for head, array in begun.blocks])
+        stored, read = shared.stored(order), shared.read(order, ranges)
         if stored is not None:
-            for _ in begun.digesting:
-                pass
+            found = sharing.receive()
+            heads = [found[at % len(found)][at // len(found)] for at in range(sum(map(len, found)))]
+            if stored.place is None:
+                connection.send(heads)
+            else:
+                arrays = [array for states in stored.columns for array in states]
+                messages = ((Part(h), Part(raw_bytes(a), crc)) for (h, crc), a in zip(heads, arrays, strict=True))
+                records = assembled(stored.place, messages, EPOCH_NS + sim_time_ns(stored.first_step, task.dt))
+                connection.send((shared.put(records.pieces), records._replace(pieces=())))
+            sharing.receive()
             connection.send(None)
-        for messages, found in begun.hashed:
-            connection.send(([(bytes(head.data), hashes.crc) for head, hashes in messages], found))
+        if read is not None:
+            hashes = shared.hashes[: read.states[0][0].shape[1]]
+            parts, not_finite = gathered(hashes, read.first_step, sharing.receive(), digest)
+            connection.send(([(bytes(head.data), array.crc) for head, array in parts], not_finite))
 
 
 def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Records:

@@ -38,6 +38,11 @@ def alone() -> Iterator[None]:
         share(True)
 
 
+def sharers() -> int:
+    """Among how many threads or processes work is shared."""
+    return max(2, min(_MOST, len(os.sched_getaffinity(0)) // 2))
+
+
 class Workers:
     """A few threads, started when they are first needed; or none.
 
@@ -57,7 +62,7 @@ class Workers:
         """Begin the work on all items; the results in order, each once it is there."""
         if self.alone:
             return [work(item) for item in items]
-        count = max(2, min(_MOST, len(os.sched_getaffinity(0)) // 2))
+        count = sharers()
         if self._threads is None:
             self._threads = ThreadPoolExecutor(count, thread_name_prefix="capture")
         size = -(-len(items) // (count * _SHARES)) or 1

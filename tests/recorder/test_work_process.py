@@ -196,19 +196,23 @@ def test_none_while_a_device_steps(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("when", ["between rows", "at the end"])
-def test_the_process_is_killed(when: str, tmp_path: Path) -> None:
-    """Say that data are lost, and leave an incomplete file, where the process is killed."""
-    path, rows = tmp_path / "a.mcap", drawn(200, 100)
+@pytest.mark.parametrize("who", [KILLED, "a process that hashes and digests states ended"])
+def test_a_process_is_killed(who: str, when: str, tmp_path: Path) -> None:
+    """Say that data are lost, and leave an incomplete file and no process, where one that works is killed."""
+    path, rows, working = tmp_path / "a.mcap", drawn(200, 100), []
 
     def record() -> None:
         with writer(path) as log:
             log.append(*(array[:100] for array in rows))
-            helper().kill()
+            working.extend([helper(), *helper().children()])
+            working[0 if who == KILLED else -1].kill()
             if when == "between rows":
                 log.append(*(array[100:] for array in rows))
 
-    with pytest.raises(DataLost, match=f"writing stopped: {KILLED}; what was written is in .*partial"):
+    with pytest.raises(DataLost, match=f"writing stopped: {who}; what was written is in .*partial"):
         record()
+    assert len(working) > 2
+    assert not psutil.wait_procs(working, timeout=60)[1]
     assert not path.exists()
     recording = open_recording(tmp_path / "a.mcap.partial")
     verify(recording)
