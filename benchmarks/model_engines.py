@@ -10,7 +10,7 @@ environments and random controls, the same for all engines. A cell is the larges
 or joint coordinate from MuJoCo C after the steps [m, rad], what of the model the engine has otherwise, or why it was
 refused. Where an engine does not know the file's
 constraint solver (PGS), it is asked for Newton instead, which is marked with *. --integrator replaces the file's on
-MuJoCo C alone, for engines that have no other. Prints a Markdown table, which docs/how-to/my-robot.md has.
+MuJoCo C alone, for engines that have no other. Prints a Markdown table, which docs/model-files.md has.
 """
 
 from __future__ import annotations

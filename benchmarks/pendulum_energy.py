@@ -6,7 +6,7 @@ oscillations of angular frequency w, the determinant of that map is 1 + (w dt)^2
 ln(energy) grows by (i - 1) / (2 i) times (w dt)^2 a step. If that is the cause, the measured growth of ln(energy) over
 (i - 1) / (2 i) is the same number for every i, but for the amplitude, which lowers w as it grows.
 
-    python -m benchmarks.pendulum_energy        the table of docs/physics.md; needs the environment of PhysX
+    python -m benchmarks.pendulum_energy        the table of docs/physics/engines.md; needs the environment of PhysX
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ none. Seeds, numbers of environments, spreads and steps differ from probe to pro
 its recordings, which a second process makes, in the calibration simulator's own environment (gsb-record --setup
 calibration); it records all of them, since a process of its own for each of a few thousand runs would take hours.
 
-    python -m benchmarks.probe_control [--probes 132] [--clean 132]         the table of docs/probe.md
+    python -m benchmarks.probe_control [--probes 132] [--clean 132]         the counts of docs/probe.md
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ MuJoCo Warp adds up the Hessian J^T D J of an environment by atomic additions of
 environments there are, the more groups each gets (solver.py, `_jtdaj_groups_per_world`). Sums of other groups round
 otherwise. With the number of groups fixed, environment 0 has to be the same whatever the number of environments.
 
-    python -m benchmarks.warp_batch        the table of docs/probe.md
+    python -m benchmarks.warp_batch        the table of docs/probe-results.md
 """
 
 from __future__ import annotations

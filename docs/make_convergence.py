@@ -1,4 +1,4 @@
-"""Records engines at several time steps, and draws their orders of convergence into docs/physics.md.
+"""Records engines at several time steps, and draws their orders of convergence into docs/physics/convergence.md.
 
 usage: python docs/make_convergence.py FOLDER [SIMULATOR...]
 
@@ -25,7 +25,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
 from gpusimbench.recorder.scenes.registry import make_scene
 
-PAGE = Path(__file__).resolve().parent / "physics.md"
+PAGE = Path(__file__).resolve().parent / "physics" / "convergence.md"
 SECONDS = {"pendulum": 1.0, "free-fall": 0.2, "ball-drop": 0.1}
 """When states are compared [s]; nothing has touched anything by then."""
 STEPS = (0.02, 0.01, 0.005, 0.0025, 0.00125)

@@ -1,4 +1,4 @@
-"""Redraws tables of README.md, docs/determinism.md, docs/probe.md and the cards of recordings/h200 and h100.
+"""Redraws tables of README.md, docs/determinism.md, docs/probe-results.md and the cards of recordings/h200 and h100.
 
 usage: python docs/make_h200.py
 """
@@ -256,7 +256,7 @@ def blocks(evaluation: Evaluation) -> dict[Path, dict[str, str]]:
         OF_PROTOCOL / "README.md": {"verdicts": verdicts(timed_runs)},
         ROOT / "README.md": {"h200": answers(evaluation)},
         ROOT / "docs" / "determinism.md": {"switches": switches(evaluation)},
-        ROOT / "docs" / "probe.md": {"probe": invariance()},
+        ROOT / "docs" / "probe-results.md": {"probe": invariance()},
     }
 
 

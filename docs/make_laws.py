@@ -1,11 +1,10 @@
 """Records the scenes with closed-form answers on the engines that are installed, and draws their tables into
-docs/physics.md: which engine keeps which law at which step, and how the measured values change with the step.
+docs/physics/engines.md: which engine keeps which law at which step, and how the measured values change with the step.
 
 usage: python docs/make_laws.py FOLDER [SIMULATOR|SCENE...]
 
 What FOLDER has already is not recorded again. An engine that is not installed, or does not take a scene, has no row;
-with names of simulators or scenes, no others are recorded. The table of FOLDER/power.md, which
-`python -m benchmarks.law_power --out FOLDER/power.md` writes, is put into the page as well.
+with names of simulators or scenes, no others are recorded.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from gpusimbench.evaluator.results.canonical import Law, laws
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of
 
-PAGE = Path(__file__).resolve().parent / "physics.md"
+PAGE = Path(__file__).resolve().parent / "physics" / "engines.md"
 BASE = 0.01
 STEPS = (0.02, BASE, 0.005)
 FINE = (*STEPS, 0.001)
@@ -188,31 +187,13 @@ def cell(law: Law | None, base: Row | None, row: Row) -> str:
     return f"{shown} ({relative})"
 
 
-def totals(power: str) -> str:
-    """The outcomes of all rows of the table of benchmarks.law_power together, in a sentence."""
-    found = [[cell.strip() for cell in line.strip("| ").split("|")] for line in power.splitlines() if " of " in line]
-    sums = []
-    for column in (4, 7, 5, 8):
-        pairs = [tuple(map(int, row[column].split(" of "))) for row in found if len(row) > 8 and " of " in row[column]]
-        sums.append(f"{sum(k for k, _ in pairs):,} of {sum(n for _, n in pairs):,}")
-    return (
-        f"All rows together: {sums[0]} pairs with a change were seen, and {sums[1]} verdicts broken; without a change "
-        f"{sums[2]} pairs differed, and {sums[3]} verdicts were broken."
-    )
-
-
 def main() -> None:
     """Record, and write the tables into the page."""
     if len(sys.argv) < 2:
         raise SystemExit(__doc__)
     folder = Path(sys.argv[1]).resolve()
     record(folder, sys.argv[2:])
-    drawn = {f"laws of {scene}": table(found) for scene in SECONDS if (found := list(rows(folder, scene)))}
-    power = folder / "power.md"
-    if power.exists():
-        shown = power.read_text(encoding="utf-8").strip()
-        drawn["power of the laws"] = f"{shown} {totals(shown)}"
-    redraw(PAGE, drawn)
+    redraw(PAGE, {f"laws of {scene}": table(found) for scene in SECONDS if (found := list(rows(folder, scene)))})
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Redraws the tables of docs/physics.md from the shipped recordings, and from a folder with every step if one is given.
+"""Redraws the tables of docs/physics/shipped.md, and of docs/physics/every-step.md from a folder if one is given.
 
 The verdicts that physics-2 changes are listed from all recordings that ship.
 
@@ -24,7 +24,8 @@ from gpusimbench.evaluator.runs.physics.facts import Check, Revision
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "physics.md"
+SHIPPED = ROOT / "docs" / "physics" / "shipped.md"
+EVERY_STEP = SHIPPED.with_name("every-step.md")
 
 _AT_THE_END = (
     Check.ENERGY_START,
@@ -116,14 +117,14 @@ def every_step(found: Sequence[tuple[Fidelity, float]], scene: str) -> str:
 
 
 def main() -> None:
-    """Write the page."""
-    drawn = {"shipped": at_the_end(shipped()), "changed by physics-2": changed()}
+    """Write the pages."""
+    redraw(SHIPPED, {"shipped": at_the_end(shipped()), "changed by physics-2": changed()})
+    print(SHIPPED)
     if len(sys.argv) > 1:
         found = judged(sorted(Path(sys.argv[1]).rglob("*.mcap")))
-        for scene in ("inclined-collision", "free-fall"):
-            drawn[f"every step of {scene}"] = every_step(found, scene)
-    redraw(PAGE, drawn)
-    print(PAGE)
+        scenes = ("inclined-collision", "free-fall")
+        redraw(EVERY_STEP, {f"every step of {scene}": every_step(found, scene) for scene in scenes})
+        print(EVERY_STEP)
 
 
 if __name__ == "__main__":

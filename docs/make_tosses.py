@@ -1,10 +1,10 @@
-"""Redraws tables of docs/how-to/cube-toss.md from recordings of the measured tosses, which are not in this project.
+"""Redraws tables of docs/toss-results.md from recordings of the measured tosses, which are not in this project.
 
 usage: python docs/make_tosses.py FOLDER
 
-FOLDER holds what the commands of the page record: the reference, a run of each simulator, and what gsb-fit --json
-wrote. A table is redrawn where FOLDER has something for it. It names the SHA-256 of the measured set and the content
-hash of each recording, so that whoever makes them again can compare.
+FOLDER holds what the commands of docs/how-to/cube-toss.md record: the reference, a run of each simulator, and what
+gsb-fit --json wrote. A table is redrawn where FOLDER has something for it. It names the SHA-256 of the measured set and
+the content hash of each recording, so that whoever makes them again can compare.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from gpusimbench.evaluator.statistics.families import holm
 from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.tosses import ODD
 
-PAGE = Path(__file__).resolve().parent / "how-to" / "cube-toss.md"
+PAGE = Path(__file__).resolve().parent / "toss-results.md"
 _SAMPLE_TIME = 441 / 148
 _SHOWN = (TOSS_POSITION, TOSS_ROTATION, TOSS_END_POSITION, TOSS_FACE, TOSS_DEPTH)
 _FRONT = (TOSS_POSITION, TOSS_ROTATION, TOSS_DEPTH)

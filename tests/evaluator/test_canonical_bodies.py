@@ -108,7 +108,7 @@ def test_a_step_that_is_too_long_for_the_middle_axis_shows(tmp_path: Path) -> No
 @pytest.mark.parametrize(("integrator", "implicit"), [("Euler", False), ("implicitfast", True)])
 def test_the_sign_of_the_drift_is_that_of_eulers_method(tmp_path: Path, integrator: str, implicit: bool) -> None:
     """Gain what the gyroscopic torque adds when it is taken from the start of the step, and lose what it takes when it
-    is linearised to the end of the step, as docs/physics.md says of MuJoCo's integrators."""
+    is linearised to the end of the step, as docs/physics/engines.md says of MuJoCo's integrators."""
     asked = ("--scene", "free-body", "--option", f"integrator={integrator}", "--steps", "400")
     gained = _laws(_recorded(tmp_path, *asked))["middle_energy"]["measured"]
     moments, dt = np.array([5.0, 10.0, 13.0]) / 1200.0, 0.01
