@@ -5,7 +5,7 @@ from __future__ import annotations
 from gpusimbench.evaluator.audit.audit import Audit, Outcome
 from gpusimbench.evaluator.audit.checking import RULES, Check
 from gpusimbench.evaluator.audit.verdict import Level, Rung
-from gpusimbench.evaluator.diff import program_words
+from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Difference, Divergence
 from gpusimbench.evaluator.diff.verdict import apart, equal_before, gap_before, place_of
 from gpusimbench.evaluator.diff.words import differ
@@ -116,7 +116,7 @@ def _facts(audit: Audit, checked: Check, every: bool) -> Pairs:
     if audit.difference is not None:
         program = audit.difference.program
         if program is not None and program.first is not None:
-            said = program_words.sentence(program, program.first, "original and replay", audit.difference.a.dt)
+            said = words.sentence(program, program.first, "original and replay", audit.difference.a.dt)
             pairs.append(("differs", said))
         elif audit.difference.first is not None:
             pairs.append(("differs", _first(audit.difference.first)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.episodes.side import Choice, Episodes
 from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.read.episode_table import EpisodeTable
+from gpusimbench.evaluator.read.episodes import EpisodeTable
 from gpusimbench.evaluator.statistics.cases import (
     FEWEST,
     interval_over_cases,

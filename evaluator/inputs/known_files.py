@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from gpusimbench.evaluator.compute.cache.store import Store
+from gpusimbench.evaluator.compute.cache import Store
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.read.stamp import Stamp, stamp_of

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gpusimbench.evaluator.check.protocol import unmet_by_file
-from gpusimbench.evaluator.metrics.capture import changes_states
 from gpusimbench.evaluator.metrics.cotenants import CoTenants, cotenants
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
+from gpusimbench.evaluator.metrics.throughput import changes_states
 from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.episodes import count_episodes
@@ -23,15 +23,13 @@ from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
 from gpusimbench.evaluator.read.stamp import Stamp, stamp_of
 from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.streams import Fingerprints
-from gpusimbench.evaluator.runs.array_history import array_histories
-from gpusimbench.evaluator.runs.joints import sample_joints
-from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_memory
+from gpusimbench.evaluator.runs.cotenancy import allocator_peak, gpu_memory, host_memory
 from gpusimbench.evaluator.runs.outcome import outcome_of
 from gpusimbench.evaluator.runs.physics.measure import physics_of
-from gpusimbench.evaluator.runs.positions import Positions, sample_positions
+from gpusimbench.evaluator.runs.positions import Positions, sample_joints, sample_positions
 from gpusimbench.evaluator.runs.run import BitSummary, CountSummary, OverflowSummary, Run
 from gpusimbench.evaluator.runs.spread import spread
-from gpusimbench.evaluator.runs.state_hashes import Histories, histories_of
+from gpusimbench.evaluator.runs.state_hashes import Histories, array_histories, histories_of
 from gpusimbench.evaluator.runs.sunk_cubes import count_sunk
 from gpusimbench.evaluator.runs.validation import LONGEST_S, NOT_TIMED, check_overflow, timed_of, verify
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording, GsbError

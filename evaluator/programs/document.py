@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 
 from gpusimbench.evaluator.compute.recorder import ProgramRun
-from gpusimbench.evaluator.diff import program_words
+from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.brief import brief
 from gpusimbench.evaluator.diff.result import Verdict
 from gpusimbench.evaluator.diff.verdict import verdict_of
@@ -33,7 +33,7 @@ def runs_document(found: Comparison) -> Document:
         blocks.append(Text(f"  {shown.name} of run 0 (a) and of run {shown.run} (b):"))
         blocks.append(brief(shown.difference, every=False))
         if shown.difference.program is not None and shown.difference.different:
-            blocks.append(program_words.section(shown.difference.program, shown.difference.a.dt))
+            blocks.append(words.section(shown.difference.program, shown.difference.a.dt))
     return Document("", tuple(blocks))
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.json_values import dump, picked, values_of
-from gpusimbench.evaluator.metrics.memory_model import MemoryModel
+from gpusimbench.evaluator.metrics.memory import MemoryModel
 from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.probe.json import probe_record
 from gpusimbench.evaluator.report.evidence_json import (

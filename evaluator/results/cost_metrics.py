@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gpusimbench.evaluator.metrics.capture import overhead
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
-from gpusimbench.evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.metrics.throughput import frames_per_second, overhead
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.results.aggregate import MEDIAN, Runs
 from gpusimbench.evaluator.results.details import (

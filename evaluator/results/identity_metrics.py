@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, MIN_R_SQUARED
-from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time
+from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time, split_tree
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
-from gpusimbench.evaluator.metrics.split_tree import split_tree
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs

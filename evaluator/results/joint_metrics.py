@@ -25,7 +25,7 @@ from gpusimbench.evaluator.results.details import JointsBetweenEnvs, JointsBetwe
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, missing, over_runs
 from gpusimbench.evaluator.results.sampled import named
-from gpusimbench.evaluator.runs.joints import Joints
+from gpusimbench.evaluator.runs.positions import Joints
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
 

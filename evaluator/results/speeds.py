@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.statistics.outcomes import ALPHA, p_value, ranges_of
+from gpusimbench.evaluator.statistics.permutation import ALPHA, p_value, ranges_of
 
 _NAMED = 6  # outcomes that a sentence names
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from gpusimbench.evaluator.metrics.memory_model import MIN_POINTS, MemoryModel, fit_memory
+from gpusimbench.evaluator.metrics.memory import MIN_POINTS, MemoryModel, fit_memory
 from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.results.cost_metrics import common_memory
 from gpusimbench.evaluator.results.metric import Estimate

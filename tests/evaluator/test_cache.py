@@ -19,9 +19,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.compute.cache import store as store_module
-from gpusimbench.evaluator.compute.cache.codec import classes_of, decode, encode
-from gpusimbench.evaluator.compute.cache.store import Store, default_folder
+from gpusimbench.evaluator.compute import cache as store_module
+from gpusimbench.evaluator.compute.cache import Store, classes_of, decode, default_folder, encode
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs import known_files
 from gpusimbench.evaluator.inputs.known_files import read_all

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.cli.share import main, parser
-from gpusimbench.evaluator.compute.cache.codec import encode
-from gpusimbench.evaluator.compute.cache.store import Store
+from gpusimbench.evaluator.compute.cache import Store, encode
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.scripts import script

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
-from gpusimbench.evaluator.metrics.split_tree import SplitTree
+from gpusimbench.evaluator.metrics.identity import SplitTree
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.document import (
     EMPTY,

@@ -9,8 +9,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.outcome import joint_fields, positional
 from gpusimbench.evaluator.runs.physics.balance import Balance
-from gpusimbench.evaluator.runs.physics.depth import Depths
-from gpusimbench.evaluator.runs.physics.ending import end_facts
+from gpusimbench.evaluator.runs.physics.depth import Depths, end_facts
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Fact, Facts, PhysicsFacts, Revision, measured
 from gpusimbench.evaluator.runs.physics.fall import fall_facts
 from gpusimbench.evaluator.runs.physics.joints import joint_facts, limits_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gpusimbench.evaluator.metrics.physics.sliding import FEWEST_ROWS, Stretches
+from gpusimbench.evaluator.metrics.physics.rolling import FEWEST_ROWS, Stretches
 from gpusimbench.evaluator.metrics.physics.solids import FixedBox, nearest, rotations
 from gpusimbench.evaluator.metrics.physics.vectors import largest, length
 from gpusimbench.evaluator.missing import Missing

@@ -10,7 +10,7 @@ from platform import python_version
 from typing import Any
 
 from gpusimbench import schemas
-from gpusimbench.evaluator.compute.cache.store import version_of
+from gpusimbench.evaluator.compute.cache import version_of
 from gpusimbench.evaluator.json_values import dump
 from gpusimbench.evaluator.share.dataset.contents import BROKEN, DAMAGED, INTEGRITY, WHOLE, Sum
 from gpusimbench.evaluator.share.dataset.folder import MAX_FILES, collisions, why_not
