@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.evaluator.compare.finding import Change, Finding, judged, not_compared
-from gpusimbench.evaluator.missing import known
+from gpusimbench.evaluator.missing import every, known
 from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.claims import every
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, comparable, identical
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate

@@ -20,7 +20,6 @@ from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.questions import Probed, answers
 from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.results.accumulation import accumulations
 from gpusimbench.evaluator.results.canonical import laws
 from gpusimbench.evaluator.results.convergence import convergences
 from gpusimbench.evaluator.results.density_maps import reference_density, shared_map, with_cloud
@@ -28,14 +27,13 @@ from gpusimbench.evaluator.results.details import SunkCubes, Throughput
 from gpusimbench.evaluator.results.determinism_cost import price_list
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import fidelity
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns, ends_early, left_out
 from gpusimbench.evaluator.results.identity_metrics import identical_steps
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import compare
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map, RunSpread
-from gpusimbench.evaluator.results.sampled import ends_early, left_out
-from gpusimbench.evaluator.results.sweeps import find_sweeps
+from gpusimbench.evaluator.results.sweeps import accumulations, find_sweeps
 from gpusimbench.evaluator.results.timed_work import timed_work
 from gpusimbench.evaluator.results.validity import validity_of
 from gpusimbench.evaluator.runs import cotenancy

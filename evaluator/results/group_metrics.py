@@ -32,9 +32,8 @@ from gpusimbench.evaluator.results.details import (
     SunkCubes,
     ToReference,
 )
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns, no_positions
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, missing, over_runs
-from gpusimbench.evaluator.results.sampled import no_positions
 from gpusimbench.evaluator.statistics.floor import floor
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
 from gpusimbench.evaluator.statistics.regimes import MIN_RUNS, RegimeProbabilities, regime_probabilities

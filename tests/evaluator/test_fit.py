@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.fit.document import dump_csv
-from gpusimbench.evaluator.fit.parameters import WIDEST, Parameters, parameters
-from gpusimbench.evaluator.fit.search import Evaluation, best_of, search
+from gpusimbench.evaluator.fit.search import WIDEST, Evaluation, Parameters, best_of, parameters, search
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.details import OverTosses

@@ -19,7 +19,7 @@ from gpusimbench.evaluator.cli.share import main, parser
 from gpusimbench.evaluator.compute.cache import Store, encode
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.render.scripts import script
+from gpusimbench.evaluator.render.templating import script
 from gpusimbench.evaluator.share.dataset import contents
 from gpusimbench.evaluator.share.leaderboard.make import gather
 from gpusimbench.schemas.errors import ExitCode

@@ -20,8 +20,7 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.report import fidelity
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written, without
-from gpusimbench.evaluator.report.sections.values import of_groups
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_groups, without
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.fidelity import DEMANDED, FidelityRow, Verdict
 from gpusimbench.evaluator.results.result import GroupResult

@@ -9,8 +9,7 @@ from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Text, Tone, items, key_of
 from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written
-from gpusimbench.evaluator.report.sections.values import column_of, of_groups, value
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, column_of, of_groups, value
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
 from gpusimbench.evaluator.results.details import (
