@@ -92,8 +92,7 @@ def parser() -> Parser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Record what is missing, search and print; returns the exit code."""
-    from gpusimbench.evaluator.bisect.bisection import Releases, bisect, most
-    from gpusimbench.evaluator.bisect.document import bisect_document, dump_json
+    from gpusimbench.evaluator.bisect.bisection import Releases, bisect, bisect_document, dump_json, most
     from gpusimbench.evaluator.bisect.environment import between, releases
     from gpusimbench.evaluator.bisect.predicates import predicate_of
     from gpusimbench.evaluator.compute.recorder import about

@@ -6,10 +6,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.check.protocol import Protocol
+from gpusimbench.evaluator.compare.counted import compare_mechanics, compare_validity
 from gpusimbench.evaluator.compare.episodes import compare_episodes
 from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, Question, Settings
 from gpusimbench.evaluator.compare.matching import Pair, check_across, match, pooled, seed_by_seed, seeds_said
-from gpusimbench.evaluator.compare.mechanics import compare_mechanics
 from gpusimbench.evaluator.compare.numbers import Schedule, compare_numbers, compared_by, schedule
 from gpusimbench.evaluator.compare.outcome import (
     JOINT_OUTCOMES,
@@ -21,7 +21,6 @@ from gpusimbench.evaluator.compare.outcome import (
 )
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_arrays, compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.sides import Side
-from gpusimbench.evaluator.compare.validity import compare_validity
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.report import timed

@@ -27,12 +27,12 @@ from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.streams import Fingerprints
 from gpusimbench.evaluator.runs.cotenancy import allocator_peak, gpu_memory, host_memory
 from gpusimbench.evaluator.runs.outcome import outcome_of
+from gpusimbench.evaluator.runs.physics.depth import count_sunk
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 from gpusimbench.evaluator.runs.positions import Positions, sample_joints, sample_positions
 from gpusimbench.evaluator.runs.run import BitSummary, CountSummary, OverflowSummary, Run
 from gpusimbench.evaluator.runs.spread import spread
 from gpusimbench.evaluator.runs.state_hashes import Histories, array_histories, histories_of
-from gpusimbench.evaluator.runs.sunk_cubes import count_sunk
 from gpusimbench.evaluator.runs.validation import LONGEST_S, NOT_TIMED, check_overflow, timed_of, verify
 from gpusimbench.schemas.commands.progress import received, sizes
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording, GsbError

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.report.evidence_json import (
     family_record,
     faults_record,
 )
-from gpusimbench.evaluator.report.fidelity import fidelity_record
+from gpusimbench.evaluator.report.sections.mechanics import fidelity_record
 from gpusimbench.evaluator.report.timed import timed_record
 from gpusimbench.evaluator.results.canonical import Law, Unmeasured
 from gpusimbench.evaluator.results.convergence import Convergence

@@ -23,7 +23,7 @@ from gpusimbench.evaluator.results.details import (
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, each, missing, over_runs
-from gpusimbench.evaluator.results.speeds import Speeds, speeds_of
+from gpusimbench.evaluator.results.timed_work import Speeds, speeds_of
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.text import plural
 

@@ -15,8 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.bisect.bisection import Bisection, most, search
-from gpusimbench.evaluator.bisect.document import bisect_document, verdict_of
+from gpusimbench.evaluator.bisect.bisection import Bisection, bisect_document, most, search, verdict_of
 from gpusimbench.evaluator.bisect.environment import (
     RECORDING,
     NotInstalled,

@@ -20,7 +20,7 @@ from gpusimbench.evaluator.metrics.levels import verdict
 from gpusimbench.evaluator.missing import Missing, every
 from gpusimbench.evaluator.read.streams import Fingerprints
 from gpusimbench.evaluator.report import verdicts, words
-from gpusimbench.evaluator.report.fidelity import cells
+from gpusimbench.evaluator.report.sections.mechanics import cells
 from gpusimbench.evaluator.results import identity_metrics as identity
 from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
 from gpusimbench.evaluator.results.fidelity import Verdict, fidelity

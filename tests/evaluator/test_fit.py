@@ -19,8 +19,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION
-from gpusimbench.evaluator.results.toss_ranking import ranked
+from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, ranked
 from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
 from gpusimbench.recorder.trials.tosses import VARIABLE
 from gpusimbench.schemas.errors import ExitCode, UsageError

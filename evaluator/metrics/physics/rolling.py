@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.metrics.physics.solids import FixedBox
+from gpusimbench.evaluator.metrics.physics.trend import FEWEST_ROWS
 
 Array = npt.NDArray[np.float64]
 
@@ -115,9 +116,6 @@ def foot_speed(way: Array, speed: Array, length: float) -> Array:
     found, at = speed[last, env], way[last, env]
     reached = before[last, env]
     return np.asarray(np.where(reached, found * np.sqrt(length / np.where(reached, at, 1.0)), np.nan))
-
-
-FEWEST_ROWS = 5
 
 
 class Stretches:

@@ -21,8 +21,10 @@ from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_LOCAL_POSITION,
     TOSS_POSITION,
     TOSS_ROTATION,
+    Ranked,
+    beaten_by,
+    ranked,
 )
-from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, ranked
 from gpusimbench.schemas.text import plural
 
 _LEGEND = (
