@@ -209,7 +209,7 @@ class Messages:
             yield parsed
 
     def columns(self, topic: str, message: str, types: dict[int, tuple[str, str]]) -> Iterator[Columns]:
-        """The messages of a topic as columns, some at a time; see evaluator.read.columns."""
+        """The messages of a topic as columns, some at a time: those with the same fields are decoded together."""
         room = _FREE_BYTES + _MOST_PER_BYTE * self.container.size
         parse = partial(self.parse, message)
         for contents in self.container.batches(topic) if self.has(topic) else ():

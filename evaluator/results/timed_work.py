@@ -136,7 +136,7 @@ class Speeds:
     """Throughputs by outcome, where they go with the outcome.
 
     outcomes  runs that are bit-identical, the slowest first
-    p_value   of statistics.outcomes, at most its ALPHA
+    p_value   of statistics.permutation, at most its ALPHA
     """
 
     outcomes: tuple[Speed, ...]

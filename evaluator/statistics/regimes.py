@@ -1,4 +1,4 @@
-"""How sure a published regime is: what other runs of the same configuration would have been called."""
+"""Reproducibility regimes as published, Types 1 to 4, and what other runs of a configuration would be called."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ _NO_JOINTS = Missing("the scene has no joints")
 def physics_of(recording: Recording, sank: Sunk | Missing | None = None, revision: Revision = NEWEST) -> PhysicsFacts:
     """What can be measured of a usable recording.
 
-    sank      what evaluator.runs.sunk_cubes.count_sunk found, where it is known already
+    sank      what evaluator.runs.physics.depth.count_sunk found, where it is known already
     revision  of the tolerances
 
     Raises DamagedRecording where the file does not hold what it should.
