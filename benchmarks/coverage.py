@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from benchmarks.arguments import parser
-from gpusimbench.evaluator.statistics.floor import energy_distance
+from gpusimbench.evaluator.statistics.energy import energy_distance
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
 from gpusimbench.evaluator.statistics.permutation import permutation_floor
 from gpusimbench.evaluator.statistics.regimes import (
