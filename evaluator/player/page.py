@@ -17,6 +17,7 @@ from gpusimbench.evaluator.render.figures import palette
 from gpusimbench.evaluator.render.templating import allowed, page_templates
 from gpusimbench.schemas.text import few, printable
 
+_HERE = Path(__file__).parent
 _MOST_SPLITS = 8
 
 
@@ -89,9 +90,6 @@ def markup(clips: Sequence[Clip]) -> Markup:
             resolution_quaternion=f"{RESOLUTION_QUATERNION:.0e}",
         )
     )
-
-
-_HERE = Path(__file__).parent
 
 
 def render_page(clip: Clip, recordings: Sequence[Recording], *, command: str) -> str:

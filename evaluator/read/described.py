@@ -1,4 +1,4 @@
-"""What a recording says of itself, whether it is open or read and closed."""
+"""What a recording says of itself, whether it is open or read and closed; parameters that differ among environments."""
 
 from __future__ import annotations
 
