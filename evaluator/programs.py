@@ -21,6 +21,12 @@ from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import NothingComparable, RecordingError
 from gpusimbench.schemas.text import few, plural
 
+SCHEMA_VERSION = 1
+
+_HOW = " The program has to record: gpusimbench.wrap(envs, 'a.mcap'), or RecordingWriter, with a relative path."
+_NAMES = 4
+_MIB = 1 << 20
+
 
 @dataclass(frozen=True)
 class Compared:
@@ -129,13 +135,6 @@ def _compared(name: str, number: int, a: Recording, b: Recording) -> Compared:
         return Compared(name, number, compare(a, b))
     except NothingComparable as error:
         return Compared(name, number, None, str(error))
-
-
-SCHEMA_VERSION = 1
-
-_HOW = " The program has to record: gpusimbench.wrap(envs, 'a.mcap'), or RecordingWriter, with a relative path."
-_NAMES = 4
-_MIB = 1 << 20
 
 
 def runs_document(found: Comparison) -> Document:

@@ -56,6 +56,8 @@ _FILES, _NAMES, _NOTES = 3, 4, 3
 
 Pairs = list[tuple[str, Cell | str]]
 
+SCHEMA_VERSION = 1
+
 
 def audit_document(audit: Audit, checked: Check, *, every: bool = False) -> Document:
     """The verdict and what it rests on; with `every`, all replays, levels and values of settings."""
@@ -192,9 +194,6 @@ def _notes(difference: Difference, every: bool) -> list[Block]:
     if not every and len(notes) > _NOTES + 1:
         notes = [*notes[:_NOTES], f"  and {len(notes) - _NOTES} more notes, printed with --all"]
     return [Items(tuple(map(Item, notes)))] if notes else []
-
-
-SCHEMA_VERSION = 1
 
 
 def dump_json(audits: Sequence[Audit], checked: Check, required: Level) -> str:

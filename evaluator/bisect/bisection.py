@@ -20,6 +20,14 @@ from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.location import place
 
+_ENVIRONMENTS = "environments"
+_PACKAGES = "software.packages."
+_OURS = ("software.recorder.",)  # which code recorded: a bisection that goes on later may have another
+
+SCHEMA_VERSION = 1
+
+_WORDS = {True: ("differs", Tone.BAD), False: ("the same", Tone.GOOD), None: ("not judged", Tone.WARNING)}
+
 
 @dataclass(frozen=True)
 class Bounds:
@@ -66,11 +74,6 @@ def search(count: int, judge: Callable[[int], bool | None]) -> Bounds:
         else:
             low = middle
     return Bounds(low, high, tuple(i for i in sorted(skipped) if low < i < high))
-
-
-_ENVIRONMENTS = "environments"
-_PACKAGES = "software.packages."
-_OURS = ("software.recorder.",)  # which code recorded: a bisection that goes on later may have another
 
 
 class NotRecorded(GsbError):
@@ -239,10 +242,7 @@ def _found(
     )  # fmt: skip
 
 
-SCHEMA_VERSION = 1
-
 _SHOWN_PACKAGES, _SETTINGS = 4, 4
-_WORDS = {True: ("differs", Tone.BAD), False: ("the same", Tone.GOOD), None: ("not judged", Tone.WARNING)}
 
 
 def bisect_document(found: Bisection) -> Document:

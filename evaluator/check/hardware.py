@@ -24,6 +24,8 @@ REASONS = {
 THROTTLING = 0x4 | 0x8 | 0x20 | 0x40 | 0x80
 """The bits that mean that heat or power holds clocks down: the same code may run faster another time."""
 
+_MASK = "throttle_reasons"
+
 
 def throttled_share(readings: Iterable[float]) -> float | None:
     """Share of readings (masks of bits) in which heat or power held the clocks down; None where there are none."""
@@ -36,9 +38,6 @@ def reasons_of(readings: Iterable[float]) -> dict[str, float]:
     masks = [int(mask) for mask in readings]
     shares = {name: sum(bool(mask & bit) for mask in masks) / len(masks) for bit, name in REASONS.items() if masks}
     return {name: share for name, share in shares.items() if share}
-
-
-_MASK = "throttle_reasons"
 
 
 @dataclass(frozen=True)

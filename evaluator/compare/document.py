@@ -49,6 +49,9 @@ _ALIKE = {
 }
 """Changes that the short text names without numbers."""
 
+SCHEMA_VERSION = 1
+"""Version of the JSON that ``gsb-compare --json`` prints."""
+
 
 def short(result: Result) -> Document:
     """About fifteen lines: the verdict, what fails, is undecided or differs, and what a reader must be warned of."""
@@ -204,10 +207,6 @@ def _section(compared: Compared, number: int, result: Result, longest: int) -> S
     )  # fmt: skip
     heading = cut(words.heading(compared), longest)
     return Section(key_of("configuration", number), heading, blocks, summary=summary, folded=True)
-
-
-SCHEMA_VERSION = 1
-"""Version of the JSON that ``gsb-compare --json`` prints."""
 
 
 def dump_json(result: Result) -> str:

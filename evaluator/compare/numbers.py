@@ -26,6 +26,17 @@ from gpusimbench.evaluator.statistics.ratio import mean_of
 _UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _SHOWN = 24
 
+Values = NDArray[np.float64]
+_SPEED: Final = (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD)
+_OPTIONAL: Final = (Axis.VALIDITY, Axis.VARIABILITY)
+"""Axes of which nothing is said where neither side has a number."""
+
+_MOST = 1e100
+"""A file may hold any number; the ratio of larger ones, or of those below its inverse, is none."""
+
+_LEAST_BYTES = 1_000_000
+"""A change of fewer bytes matters to nobody, however large it is in proportion."""
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -95,18 +106,6 @@ def neighbours(head: Sequence[bool]) -> tuple[int, ...]:
         if len(seen) == 2 and len(set(head[index + 1 :])) == 2:
             block, seen = block + 1, set()
     return tuple(blocks)
-
-
-Values = NDArray[np.float64]
-_SPEED: Final = (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD)
-_OPTIONAL: Final = (Axis.VALIDITY, Axis.VARIABILITY)
-"""Axes of which nothing is said where neither side has a number."""
-
-_MOST = 1e100
-"""A file may hold any number; the ratio of larger ones, or of those below its inverse, is none."""
-
-_LEAST_BYTES = 1_000_000
-"""A change of fewer bytes matters to nobody, however large it is in proportion."""
 
 
 def compare_numbers(

@@ -35,6 +35,17 @@ from gpusimbench.schemas.writing import write_file
 
 _TREE = "tree"
 
+MAX_BYTES = 1 << 30
+"""What a store may take; beyond it, what was used longest ago is deleted."""
+
+_SUFFIX = ".result"
+_DIGEST = 32  # bytes of SHA-256 before each document: what a disk or a hand changed or moved is no result
+_MOST = 256 << 20  # bytes of an entry
+_ABANDONED_S = 3600
+_PACKAGES = ("numpy", "scipy", "numba", "POT", "lz4", "zstandard", "protobuf")
+_FOLDERS = ("evaluator", "schemas")
+_KINDS = ("*.py", "*.binpb")
+
 
 def encode(value: Any) -> bytes:
     """A document of plain values, lists, tuples, mappings, paths, arrays, dataclasses and enums.
@@ -153,18 +164,6 @@ def _arrays(document: bytes | memoryview) -> Iterator[tuple[str, NDArray[Any]]]:
 
 
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-
-
-MAX_BYTES = 1 << 30
-"""What a store may take; beyond it, what was used longest ago is deleted."""
-
-_SUFFIX = ".result"
-_DIGEST = 32  # bytes of SHA-256 before each document: what a disk or a hand changed or moved is no result
-_MOST = 256 << 20  # bytes of an entry
-_ABANDONED_S = 3600
-_PACKAGES = ("numpy", "scipy", "numba", "POT", "lz4", "zstandard", "protobuf")
-_FOLDERS = ("evaluator", "schemas")
-_KINDS = ("*.py", "*.binpb")
 
 
 def default_folder() -> Path | None:

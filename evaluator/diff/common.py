@@ -17,6 +17,9 @@ from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.provenance import engine_name
 
+_LARGEST_RATIO = 1000  # of two time steps, and of its parts as a fraction
+_TOLERANCE = 1e-9
+
 
 @dataclass(frozen=True)
 class Selection:
@@ -75,10 +78,6 @@ def picked(array: NDArray[Any], items: NDArray[np.int64], components: NDArray[np
         if len(index) != array.shape[axis] or (index != np.arange(len(index))).any():
             array = np.take(array, index, axis=axis)
     return array
-
-
-_LARGEST_RATIO = 1000  # of two time steps, and of its parts as a fraction
-_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)

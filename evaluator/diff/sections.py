@@ -36,6 +36,8 @@ _BASIS = {
     Basis.LOCAL: "beyond the resolution at their origins",
 }
 
+_FIELDS = 8
+
 
 def diff_document(found: Difference, *, every: bool = False) -> Document:
     """The verdict and what it rests on; with `every`, all that is known."""
@@ -216,9 +218,6 @@ def _settings(found: Difference) -> Section | None:
         ],
     )
     return Section("settings", "settings", (made,), f"{len(found.settings):,} that differ")
-
-
-_FIELDS = 8
 
 
 def arrays_document(found: ArraysDifference, names: tuple[str, str]) -> Document:

@@ -21,6 +21,8 @@ _ROWS = 50  # a block's rows, so that few are decoded twice
 _BYTES = 16 << 20  # of one field on one side; never less than a row
 _NONE: tuple[NDArray[np.int64], NDArray[np.int64]] = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
 
+Words = NDArray[np.uint64]
+
 
 @dataclass(frozen=True)
 class Ends:
@@ -112,9 +114,6 @@ def _rows(array: StateArray, steps: NDArray[np.int64], envs: slice) -> NDArray[A
     at = np.searchsorted(array.steps, steps)
     read: NDArray[Any] = array.read(slice(int(at[0]), int(at[-1]) + 1), envs)
     return read if len(read) == len(at) else read[at - at[0]]
-
-
-Words = NDArray[np.uint64]
 
 
 class BodyOrder:

@@ -24,6 +24,8 @@ from gpusimbench.schemas.mixing import GOLDEN, mix
 
 _MM, _CM = 1e-3, 1e-2
 
+_HASH_ROWS = 512
+
 
 class Distances:
     """Collects distances of bodies, chunk by chunk; the chunks of a step's groups are added together.
@@ -112,9 +114,6 @@ def _lengths(apart: NDArray[np.float64]) -> NDArray[np.float64]:
     # [step, env, item, axis] to [step, body]
     with np.errstate(invalid="ignore", over="ignore"):
         return np.asarray(np.sqrt((apart**2).sum(axis=-1)).reshape(len(apart), -1))
-
-
-_HASH_ROWS = 512
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,12 @@ from gpusimbench.schemas.text import cut, few, plural
 
 _ARRAYS, _NAMES, _LAST = 3, 8, 100
 
+WITHOUT_UNIT = ("unit quaternion", UNKNOWN, DIMENSIONLESS)
+"""Units that are not written behind a number."""
+
+_NAME = 60
+_BARS = "▁▂▃▄▅▆▇█"
+
 
 def sentence(found: ProgramDifference, first: Part, who: str, dt: float) -> str:
     """The verdict: "The runs part at update 12 of gradient, after step 640; until then, batch is the same".
@@ -91,13 +97,6 @@ def section(found: ProgramDifference, dt: float) -> Section:
     return Section(
         "program", "parts of the program", (made,), f"{plural(same, 'other state field')} the same throughout"
     )
-
-
-WITHOUT_UNIT = ("unit quaternion", UNKNOWN, DIMENSIONLESS)
-"""Units that are not written behind a number."""
-
-_NAME = 60
-_BARS = "▁▂▃▄▅▆▇█"
 
 
 def length(metres: float | None) -> str:

@@ -22,6 +22,9 @@ _NUMBERS = 4
 _MOST_DISTINCT = 0.95
 _DETECTABLE = "detectable: the smallest difference that {} would show with a probability of 80 % at the 5 % level."
 
+_WORDS = {"n_env": "number of environments", "device": "device", "version": "version of the simulator"}
+_FEW_ENVS = 8
+
 
 def episodes_document(policy: Outcome, against: Outcome | None, comparison: Comparison | None) -> Document:
     """Of one policy, or of two and their comparison."""
@@ -217,10 +220,6 @@ def interval(
     if isinstance(ends, Missing):
         return NONE
     return f"[{', '.join(shown(end, of.name) for end in ends)}]"
-
-
-_WORDS = {"n_env": "number of environments", "device": "device", "version": "version of the simulator"}
-_FEW_ENVS = 8
 
 
 def across_document(found: Across) -> Document:

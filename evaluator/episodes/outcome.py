@@ -29,6 +29,8 @@ SUCCESS, RETURN = "success", "return"
 _FEW = Missing(f"fewer than {FEWEST} environments")
 _ALIKE = Missing("all environments have the same mean")
 
+_THRESHOLDS = 51
+
 
 @dataclass(frozen=True)
 class FinishOrder:
@@ -257,9 +259,6 @@ def _finish_order(
         ci95=ci95,
         biased=not isinstance(ci95, Missing) and not ci95[0] <= 0 <= ci95[1],
     )
-
-
-_THRESHOLDS = 51
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,10 @@ LEVEL = 0.05
 
 _UNITS = {"position": ("cm", 100.0), "rotation": ("deg", 180.0 / math.pi)}
 
+SCHEMA_VERSION = 1
+
+_TITLES = ("error of", "tosses", "before", "after", "change", "p")
+
 
 @dataclass(frozen=True)
 class Compared:
@@ -122,11 +126,6 @@ def _compared(of: str, tosses: str, before: TossErrors, after: TossErrors) -> Co
 
 def _mean(values: NDArray[np.float64]) -> tuple[float, tuple[float, float] | None]:
     return float(values.mean()), mean_interval(values)
-
-
-SCHEMA_VERSION = 1
-
-_TITLES = ("error of", "tosses", "before", "after", "change", "p")
 
 
 def fit_document(found: Fit) -> Document:

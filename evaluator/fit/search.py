@@ -18,6 +18,13 @@ WIDEST = 10.0
 
 _TYPES = ("float", "str")  # of options that numbers are in; a whole number or a word cannot be moved a little
 
+METHOD = "COBYQA of SciPy (Ragonneau 2022), on the logarithms of the numbers"
+"""What searches: trust regions with quadratic models, which need no gradient; few evaluations are enough for a few
+numbers, and a rugged error is smoothed by the width of the region."""
+
+_FIRST_RADIUS, _LAST_RADIUS = 0.5, 0.005  # of the region, in logarithms: a factor of 1.6, and of 0.5 %
+_FAILED = 10.0  # error of options that cannot be recorded, in errors of the start
+
 
 @dataclass(frozen=True)
 class Parameters:
@@ -88,14 +95,6 @@ def _numbers(value: object) -> tuple[float, ...]:
     except ValueError:
         return ()
     return found if all(map(math.isfinite, found)) else ()
-
-
-METHOD = "COBYQA of SciPy (Ragonneau 2022), on the logarithms of the numbers"
-"""What searches: trust regions with quadratic models, which need no gradient; few evaluations are enough for a few
-numbers, and a rugged error is smoothed by the width of the region."""
-
-_FIRST_RADIUS, _LAST_RADIUS = 0.5, 0.005  # of the region, in logarithms: a factor of 1.6, and of 0.5 %
-_FAILED = 10.0  # error of options that cannot be recorded, in errors of the start
 
 
 @dataclass(frozen=True)

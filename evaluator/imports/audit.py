@@ -19,6 +19,9 @@ from gpusimbench.schemas.provenance import engine_name
 WINDOW_S = 0.1
 """Over which the force is averaged, at the end of the drop [s]."""
 
+REFERENCE = "mujoco"
+"""The simulator whose compiled model is the reference."""
+
 
 @dataclass(frozen=True)
 class Landing:
@@ -65,10 +68,6 @@ def _landing(drop: Drop) -> Landing:
         none = Missing("nothing touches the ground")
         return Landing(none, none, carried)
     return Landing(float(drop.time[touching[0]]), float(drop.height[touching[0]]), carried)
-
-
-REFERENCE = "mujoco"
-"""The simulator whose compiled model is the reference."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,12 @@ import numpy.typing as npt
 
 from gpusimbench.evaluator.metrics.divergence import by_first_appearance
 
+MAX_BRANCHES = 64
+"""Branches that are kept; of more, those that left first."""
+
+MAX_MEMBERS = 16
+"""Members of a branch that are named."""
+
 
 def unchanging(samples: npt.NDArray[np.uint64]) -> bool:
     """Whether there are several samples, and all are the first one.
@@ -134,13 +140,6 @@ def _departures(row: int, classes: npt.NDArray[np.int64], finer: npt.NDArray[np.
     stayed_with = lowest[classes[first]]
     leaves = first != stayed_with
     return np.column_stack([np.full(leaves.sum(), row), first[leaves], stayed_with[leaves], sizes[leaves]])
-
-
-MAX_BRANCHES = 64
-"""Branches that are kept; of more, those that left first."""
-
-MAX_MEMBERS = 16
-"""Members of a branch that are named."""
 
 
 @dataclass(frozen=True)

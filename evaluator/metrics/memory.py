@@ -8,6 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+MIN_POINTS = 3
+"""Two points lie on a line whatever they are; only a third can disagree."""
+
+HOLDS_WITHIN = 0.10
+"""Largest relative residual with which the model is called good."""
+
 
 @dataclass(frozen=True)
 class Checkpoints:
@@ -102,13 +108,6 @@ def allocator_peak(built_bytes: int | None, peaks_bytes: Sequence[int]) -> int |
     """
     peak = max(peaks_bytes, default=None)
     return None if peak is None or (built_bytes is not None and peak <= built_bytes) else peak
-
-
-MIN_POINTS = 3
-"""Two points lie on a line whatever they are; only a third can disagree."""
-
-HOLDS_WITHIN = 0.10
-"""Largest relative residual with which the model is called good."""
 
 
 @dataclass(frozen=True)

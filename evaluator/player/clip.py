@@ -24,6 +24,19 @@ from gpusimbench.schemas.errors import NothingComparable, UsageError
 from gpusimbench.schemas.provenance import engine_name
 from gpusimbench.schemas.text import printable
 
+MOST_SHOWN = 8
+"""Environments at a time; there are as many colours that every reader can keep apart."""
+
+BUDGET_BYTES = 1_400_000
+"""Of a clip's poses, as text in a page."""
+
+_DEFAULT_SHOWN = 6
+_NOT_COMPARED_SHOWN = 4
+_RATE_HZ = 30.0
+_BEFORE, _BEHIND = 12, 24  # recorded rows around the first divergence, all of which are kept
+_POSE_BYTES = 20 * 4 / 3  # of an item: three float32 and four int16, in base64
+_MOST_ITEMS = 1000
+
 
 @dataclass(frozen=True)
 class Labels:
@@ -83,20 +96,6 @@ def _kind(recording: Recording) -> str:
 
 def _letter(index: int) -> str:
     return chr(ord("a") + index) if index < 26 else f"file {index + 1}"
-
-
-MOST_SHOWN = 8
-"""Environments at a time; there are as many colours that every reader can keep apart."""
-
-BUDGET_BYTES = 1_400_000
-"""Of a clip's poses, as text in a page."""
-
-_DEFAULT_SHOWN = 6
-_NOT_COMPARED_SHOWN = 4
-_RATE_HZ = 30.0
-_BEFORE, _BEHIND = 12, 24  # recorded rows around the first divergence, all of which are kept
-_POSE_BYTES = 20 * 4 / 3  # of an item: three float32 and four int16, in base64
-_MOST_ITEMS = 1000
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,9 @@ _SCENE, _TRANSFORMS, _LOG = "/scene", "/tf", "/log"
 Shown = tuple[EnvView, Sequence[Frame]]
 """An environment, and how what is in it moves."""
 
+_LAST_NS = 1 << 62
+_DRAWN = "foxglove.SceneUpdate"  # with which an environment's poses come
+
 
 class ViewWriter:
     """Writes messages of Foxglove, each type and topic declared at its first use."""
@@ -97,10 +100,6 @@ class ViewWriter:
 
 def _poses(env: EnvView, group: str) -> str:
     return f"/{env.name}/{printable(group)}/poses"
-
-
-_LAST_NS = 1 << 62
-_DRAWN = "foxglove.SceneUpdate"  # with which an environment's poses come
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.treatment import Initial, Intervention
 
+_WHY = 60  # characters of why an arm is missing
+
 
 def poison(arms: Arms) -> Asked | Missing:
     """Environments beside one that is not finite."""
@@ -105,9 +107,6 @@ def _beside(arms: Arms, kind: str) -> tuple[Recording, Recording, Intervention] 
     if isinstance(base, Missing):
         return base
     return treated if isinstance(treated, Missing) else (base, *treated)
-
-
-_WHY = 60  # characters of why an arm is missing
 
 
 class Probed(NamedTuple):

@@ -16,6 +16,11 @@ from gpusimbench.schemas.vector import FINAL_GIVEN, NOT_GIVEN
 
 _FLAGS = ("terminated", "truncated")
 
+NEEDED = ("reward", *_FLAGS, "stepped", "episode", "episode_step")
+"""Fields, beside observations, without which a recording has no episodes."""
+
+_ROWS = 50  # that are read at a time, as many as a block has
+
 
 @dataclass(frozen=True)
 class Episode:
@@ -130,12 +135,6 @@ def _of_env(recording: Recording, env: int, names: list[str]) -> Iterator[Episod
             rewarded=has_rewards(recording),
             final_known=FINAL_GIVEN not in columns or bool(columns[FINAL_GIVEN][last, 0]),
         )
-
-
-NEEDED = ("reward", *_FLAGS, "stepped", "episode", "episode_step")
-"""Fields, beside observations, without which a recording has no episodes."""
-
-_ROWS = 50  # that are read at a time, as many as a block has
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,22 @@ _SHAPES = 32
 _BITS = {"fixed64": 64, "uint64": 63, "uint32": 28}
 """Of numbers that are decoded here, by their type: with more, a varint may mean another number than its digits say."""
 
+_FREE_BYTES = 64 << 20
+_MOST_PER_BYTE = 8
+"""Messages of one topic that are parsed may hold _FREE_BYTES, and _MOST_PER_BYTE for each byte of the file."""
+
+MAX_MESSAGE_BYTES = 64 << 20
+"""Of a message that is parsed; as an object it may take 40 times as much memory for a moment."""
+
+MAX_MESSAGES = 1 << 20
+"""Of a topic whose messages are kept as objects."""
+
+MAX_NOTES = 1 << 16
+"""The same of events and of gaps in the data, which are shown."""
+
+MAX_END_BYTES = 1 << 20
+"""Of the end record, whose digests are kept as objects."""
+
 
 @dataclass(frozen=True)
 class Columns:
@@ -143,23 +159,6 @@ def _take_alone(content: memoryview, place: int, parse: Callable[[bytes], Any], 
     found.parsed.append(message)
     for name, column in found.numbers.items():
         column[place] = getattr(message, name) & 0xFFFF_FFFF_FFFF_FFFF  # of a negative number, its two's complement
-
-
-_FREE_BYTES = 64 << 20
-_MOST_PER_BYTE = 8
-"""Messages of one topic that are parsed may hold _FREE_BYTES, and _MOST_PER_BYTE for each byte of the file."""
-
-MAX_MESSAGE_BYTES = 64 << 20
-"""Of a message that is parsed; as an object it may take 40 times as much memory for a moment."""
-
-MAX_MESSAGES = 1 << 20
-"""Of a topic whose messages are kept as objects."""
-
-MAX_NOTES = 1 << 16
-"""The same of events and of gaps in the data, which are shown."""
-
-MAX_END_BYTES = 1 << 20
-"""Of the end record, whose digests are kept as objects."""
 
 
 class Messages:

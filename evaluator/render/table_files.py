@@ -30,6 +30,8 @@ _LAST_LATIN = 0x17F  # what LaTeX knows without a package
 _NEEDS_T1 = frozenset("ÐðÞþĄąĐđĘęĮįŊŋŲų")  # errors with LaTeX's default fonts
 _UNKNOWN = frozenset("ĦħĸĿŀŉŦŧſ")  # errors with any
 
+_LONG, _LONG_FROM = "p{5cm}", 40
+
 
 def escape(text: str) -> str:
     """Text in which nothing is a command; what pdfLaTeX has no letter for stands as its number."""
@@ -56,9 +58,6 @@ def figure(file_name: str, caption: str) -> str:
         f"  \\includegraphics[width=\\linewidth]{{{file_name}}}\n"
         f"  \\caption{{{escape(caption)}}}\n  \\label{{fig:{file_name}}}\n\\end{{figure}}\n"
     )
-
-
-_LONG, _LONG_FROM = "p{5cm}", 40
 
 
 class Format(StrEnum):

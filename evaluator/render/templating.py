@@ -14,6 +14,8 @@ from markupsafe import Markup
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.text import printable
 
+_FOLDER = Path(__file__).parent
+
 
 def page_templates(loader: jinja2.BaseLoader) -> jinja2.Environment:
     """What renders HTML templates; what recordings say is a stranger's text, and a name that is missing an error."""
@@ -32,9 +34,6 @@ def page_templates(loader: jinja2.BaseLoader) -> jinja2.Environment:
 def _visible(value: Any) -> Any:
     """Text without characters that a page cannot hold; markup of our own is left alone."""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
-
-
-_FOLDER = Path(__file__).parent
 
 
 def script(name: str) -> Markup:

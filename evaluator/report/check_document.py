@@ -29,6 +29,8 @@ _DAMAGES = {"recording": ("cannot be read", "cannot be read"), "no-dropouts": ("
 _DAMAGED = ("is damaged", "are damaged")
 """What a file is that breaks a rule on damage, by the rule's id; of one file and of several."""
 
+SCHEMA_VERSION = 1
+
 
 def check_document(report: Report, *, every: bool = False) -> Document:
     """The verdict, then an item for each broken rule; with `every`, all findings of every file instead."""
@@ -249,9 +251,6 @@ def _joined(text: str) -> str:
 
 def _scope(scope: Scope) -> str:
     return {Scope.file: "each file", Scope.point: "the runs of a point", Scope.set: "all files"}[scope]
-
-
-SCHEMA_VERSION = 1
 
 
 def dump_check(report: Report) -> str:

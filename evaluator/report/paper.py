@@ -40,6 +40,13 @@ _SPACES = str.maketrans("\u2009\u202f\u00a0", "   ")
 
 Attributes = Mapping[str, str]
 
+INDEX = "figures.tex"
+
+HEAD = """\
+% Figures of an evaluation by gpusimbench; needs \\usepackage{graphicx}, pdfLaTeX or a newer engine.
+% Each file lies beside this one; its SVG and the numbers that it draws have the same name.
+"""
+
 
 def reportlab() -> Any:
     """The package that writes PDF, its canvas; UsageError where it is not installed."""
@@ -260,14 +267,6 @@ def _turned(at: Attributes) -> float:
 
 def _colour(name: str) -> Any:
     return import_module("reportlab.lib.colors").HexColor(name)
-
-
-INDEX = "figures.tex"
-
-HEAD = """\
-% Figures of an evaluation by gpusimbench; needs \\usepackage{graphicx}, pdfLaTeX or a newer engine.
-% Each file lies beside this one; its SVG and the numbers that it draws have the same name.
-"""
 
 
 def write_figures(evaluation: Evaluation, folder: Path, *, published: bool) -> list[Path]:

@@ -35,6 +35,12 @@ SOURCES = {
 }
 """Metrics that a memory model is fitted to, and what they are."""
 
+_DRAWS = 5
+_SEED = 0
+_MIN_ENVS = 4  # fewer say next to nothing, and all others would be reduced to them
+_MAX_POINTS = 500  # of a side that runs are reduced to: a distance takes 10 ms, and there are hundreds
+_MAX_RAW_POINTS = 1000  # of a side as it is
+
 
 class Failure(NamedTuple):
     """How a run did not complete: INVALID, failed, incomplete or lost data; what kind of thing it was; why."""
@@ -222,13 +228,6 @@ def _failure(recording: Run) -> Failure:
         return Failure("lost data", "", recording.dropouts[0])
     status = "INVALID" if recording.status == "invalid" else recording.status
     return Failure(status, recording.cause, recording.reason)
-
-
-_DRAWS = 5
-_SEED = 0
-_MIN_ENVS = 4  # fewer say next to nothing, and all others would be reduced to them
-_MAX_POINTS = 500  # of a side that runs are reduced to: a distance takes 10 ms, and there are hundreds
-_MAX_RAW_POINTS = 1000  # of a side as it is
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,8 @@ SETTINGS = {
 }
 """Settings of a solver that decide how much work a step is, each with its names among the options of engines."""
 
+_NAMED = 6  # outcomes that a sentence names
+
 
 @dataclass(frozen=True, order=True)
 class Window:
@@ -111,9 +113,6 @@ def _settings(key: GroupKey) -> dict[str, str]:
 def _text(value: Any) -> str:
     # a tolerance in float32 is the one that was asked for
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-_NAMED = 6  # outcomes that a sentence names
 
 
 @dataclass(frozen=True)

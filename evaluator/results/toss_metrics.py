@@ -37,6 +37,9 @@ _DEGREES = 180.0 / math.pi
 
 _Errors = TypeVar("_Errors", TossErrors, LocalErrors)
 
+LEVEL = 0.05
+"""Adjusted p values below this tell two groups apart."""
+
 
 def _told(of_runs: Sequence[_Errors | Missing]) -> list[_Errors] | Missing:
     """Errors of the runs that have any, or why none has."""
@@ -188,10 +191,6 @@ TOSS_METRICS = (
 
 TOSS_LOCAL_METRICS = (TOSS_LOCAL_POSITION, TOSS_LOCAL_ROTATION)
 """Of tosses that are set to measured states on the way."""
-
-
-LEVEL = 0.05
-"""Adjusted p values below this tell two groups apart."""
 
 
 @dataclass(frozen=True)

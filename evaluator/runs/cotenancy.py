@@ -14,6 +14,12 @@ from gpusimbench.evaluator.read.streams import MemoryTrace
 from gpusimbench.evaluator.runs.groups import key_of
 from gpusimbench.evaluator.runs.run import Run
 
+_KIND = ("name", "driver", "cuda_driver", "memory_bytes", "compute_capability", "ecc", "mig", "persistence_mode")
+"""What the driver keeps for itself depends on, of a GPU."""
+
+_MACHINE = ("cpu", "memory_bytes")
+"""The same of the host, by which machines of another kind are told apart."""
+
 
 def gpu_memory(recording: Recording) -> GpuMemory | Missing:
     """Memory of the device that a recording's simulator stepped on."""
@@ -53,13 +59,6 @@ def _checkpoints(recording: Recording, trace: MemoryTrace) -> Checkpoints:
     timed = recording.timing.get("timed")
     peak = None if timed is None else trace.peak("timed", timed.first_end_ns)
     return Checkpoints(trace.at("baseline"), trace.at("post-init"), trace.at("post-warmup"), peak, trace.at("final"))
-
-
-_KIND = ("name", "driver", "cuda_driver", "memory_bytes", "compute_capability", "ecc", "mig", "persistence_mode")
-"""What the driver keeps for itself depends on, of a GPU."""
-
-_MACHINE = ("cpu", "memory_bytes")
-"""The same of the host, by which machines of another kind are told apart."""
 
 
 def with_peers(runs: Sequence[Run]) -> list[Run]:

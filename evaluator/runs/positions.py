@@ -20,6 +20,10 @@ from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.provenance import REAL
 
+NO_JOINTS = Missing('no joints were recorded (needs a group with the field "qpos", or ball joints with "orientation")')
+
+_ROUND = 1e-3  # by which the length of a quaternion may differ from 1
+
 
 def no_states(recording: Recording) -> Missing:
     """Why a recording has no states."""
@@ -123,11 +127,6 @@ def _origins(recording: Recording, field: StateField) -> NDArray[np.float64] | N
     if not origins or field.frame != "world":
         return None
     return np.array(origins, dtype=np.float64)[:, : len(field.components)]
-
-
-NO_JOINTS = Missing('no joints were recorded (needs a group with the field "qpos", or ball joints with "orientation")')
-
-_ROUND = 1e-3  # by which the length of a quaternion may differ from 1
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+FEWEST = 5.0
+"""Expected count of each class, below which the distribution of the statistic is not that of chi-squared."""
+
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """p-values adjusted for being several: at most one in 1 / alpha families has any false one at or below alpha.
@@ -69,10 +72,6 @@ def able_to_reject(least: Sequence[float], alpha: float) -> list[bool]:
     """
     reach = next((k for k in range(1, len(least) + 1) if sum(p <= alpha / k for p in least) <= k), 1)
     return [p <= alpha / reach for p in least]
-
-
-FEWEST = 5.0
-"""Expected count of each class, below which the distribution of the statistic is not that of chi-squared."""
 
 
 @dataclass(frozen=True)

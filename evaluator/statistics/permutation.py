@@ -17,6 +17,13 @@ from gpusimbench.evaluator.transport.points import in_canonical_order, point_arr
 # Arrangements that are equal in exact arithmetic may differ in the last bits; they count as ties.
 _TIE = 1e-9
 
+ALPHA = 0.01
+"""Chance of a false alarm at most: of a p-value at or below it where numbers do not go with outcomes."""
+
+_DRAWS = 9_999
+
+_AT_ONCE = 1_000_000  # numbers that are permuted at once: 8 MB
+
 
 @dataclass(frozen=True)
 class PermutationFloor:
@@ -180,14 +187,9 @@ def _pooled(envs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return envs.reshape(-1, envs.shape[-1])
 
 
-ALPHA = 0.01
-"""Chance of a false alarm at most: of a p-value at or below it where numbers do not go with outcomes."""
-
-_DRAWS = 9_999
 _SQUARES_TIE = (
     1e-12  # of the whole sum of squares: arrangements that are equal in exact arithmetic differ in the last bits
 )
-_AT_ONCE = 1_000_000  # numbers that are permuted at once: 8 MB
 
 
 def ranges_of(values: npt.ArrayLike, outcomes: npt.ArrayLike) -> list[tuple[int, float, float]]:

@@ -14,6 +14,10 @@ DECIMALS_CM = 2
 PRESENT_FROM_CM = 0.005
 """The smallest float64 that does not round to 0.00 cm: `is_present(v)` is v >= this."""
 
+CONFIDENCE = 0.95
+MIN_RUNS = 3
+"""With two runs there is one pair, and resampling has nothing to choose from."""
+
 
 class Regime(IntEnum):
     """Published type, by which of the two variabilities is present."""
@@ -62,11 +66,6 @@ def published_regime(parallel_cm: float, run_to_run_cm: float) -> Regime:
         (True, True): Regime.BOTH,
         (False, True): Regime.RUN_TO_RUN_ONLY,
     }[is_present(parallel_cm), is_present(run_to_run_cm)]
-
-
-CONFIDENCE = 0.95
-MIN_RUNS = 3
-"""With two runs there is one pair, and resampling has nothing to choose from."""
 
 
 class Resampling(Enum):

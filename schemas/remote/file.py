@@ -21,6 +21,22 @@ from gpusimbench.schemas.source import Source
 
 _T = TypeVar("_T")
 
+_BLOCK = 64 << 10
+_CACHED_BYTES = 32 << 20
+_AHEAD_BYTES = 4 << 20  # in one request, of whoever reads on
+_PIECE_BYTES = 16 << 20  # of a file that is read from its beginning to its end
+_WORKERS = 8
+_ANSWER_S = 30.0
+_FILE_S = 60.0
+_END_S = 5.0
+_LEAST_RATE = 32 << 10  # [byte/s]; time that bytes may take is added to the two above
+_LIST_S = 300.0
+_MOST_BYTES = 1 << 44  # no recording has more
+_CONFIRM_S = 1.0  # at most this often, the server is asked whether the file is still the same
+_WEB = ("http", "https")
+_IDENTITY = ("size", "ETag", "etag", "Content-MD5", "Last-Modified", "LastModified", "mtime", "created", "generation")
+"""What file systems tell of a file that changes when the file does."""
+
 
 class TooSlow(Exception):
     """What was asked for did not come in time; the message says what was waited for."""
@@ -96,23 +112,6 @@ class Patience:
 
     def _slow(self) -> str:
         return f"after {self._file_s:.3g} s of waiting, what comes is slower than {self._rate:.0f} bytes a second"
-
-
-_BLOCK = 64 << 10
-_CACHED_BYTES = 32 << 20
-_AHEAD_BYTES = 4 << 20  # in one request, of whoever reads on
-_PIECE_BYTES = 16 << 20  # of a file that is read from its beginning to its end
-_WORKERS = 8
-_ANSWER_S = 30.0
-_FILE_S = 60.0
-_END_S = 5.0
-_LEAST_RATE = 32 << 10  # [byte/s]; time that bytes may take is added to the two above
-_LIST_S = 300.0
-_MOST_BYTES = 1 << 44  # no recording has more
-_CONFIRM_S = 1.0  # at most this often, the server is asked whether the file is still the same
-_WEB = ("http", "https")
-_IDENTITY = ("size", "ETag", "etag", "Content-MD5", "Last-Modified", "LastModified", "mtime", "created", "generation")
-"""What file systems tell of a file that changes when the file does."""
 
 
 class RemoteFile(Source):

@@ -9,6 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Vector = tuple[float, ...]
+
+Key = tuple[str, str]
+"""Group and name of a body or link."""
+
+Placed = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Positions [row, 3] [m] and orientations [row, 4] wxyz."""
+
+ROBOT = "robot"
+"""Group of links: of the robot of a scene, and of every body of a model that is not free."""
+
 
 def about(axis: Sequence[float], angle: NDArray[Any]) -> NDArray[np.float64]:
     """Rotations about a unit vector by angles [rad], any shape; returns [..., 4]."""
@@ -36,18 +47,6 @@ def rotate(quaternion: NDArray[Any], vector: NDArray[Any]) -> NDArray[np.float64
     cross = np.cross(v, vector)
     turned: NDArray[np.float64] = np.asarray(vector + 2 * w * cross + 2 * np.cross(v, cross), dtype=np.float64)
     return turned
-
-
-Vector = tuple[float, ...]
-
-Key = tuple[str, str]
-"""Group and name of a body or link."""
-
-Placed = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Positions [row, 3] [m] and orientations [row, 4] wxyz."""
-
-ROBOT = "robot"
-"""Group of links: of the robot of a scene, and of every body of a model that is not free."""
 
 
 @dataclass(frozen=True)

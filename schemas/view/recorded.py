@@ -30,6 +30,17 @@ _FIXED: tuple[foxglove.Colour, ...] = ((0.55, 0.55, 0.58),)
 _BODY: tuple[foxglove.Colour, ...] = ((0.84, 0.65, 0.38), (0.70, 0.50, 0.27))  # neighbours differ
 _LINK: tuple[foxglove.Colour, ...] = ((0.92, 0.92, 0.92), (0.75, 0.77, 0.80))
 
+RATE = 30.0
+"""Most poses a second of simulated time [Hz]."""
+
+METADATA = "gsb-view"
+"""Name of the metadata record with the layout: an attachment would have a digest, and change the content hash."""
+
+LOG_TOPIC = topics.view("log", 0)
+LOG_TYPE = "foxglove.Log"
+
+NAME = "foxglove-layout.json"
+
 
 class EnvView:
     """An environment, drawn in a frame of its own.
@@ -114,16 +125,6 @@ def _distinct(names: Iterable[str]) -> Iterator[str]:
         yield shown
 
 
-RATE = 30.0
-"""Most poses a second of simulated time [Hz]."""
-
-METADATA = "gsb-view"
-"""Name of the metadata record with the layout: an attachment would have a digest, and change the content hash."""
-
-LOG_TOPIC = topics.view("log", 0)
-LOG_TYPE = "foxglove.Log"
-
-
 class ViewMessage(NamedTuple):
     """A message of a view, and its log_time [ns]."""
 
@@ -201,9 +202,6 @@ def layout_of(views: Sequence[RecordedView]) -> str:
     return layout(
         scenes=by_type["foxglove.SceneUpdate"], log=LOG_TOPIC, poses=by_type.get("foxglove.PosesInFrame", ()), root=ROOT
     )
-
-
-NAME = "foxglove-layout.json"
 
 
 def layout(*, scenes: Sequence[str], log: str, poses: Sequence[str], root: str) -> str:

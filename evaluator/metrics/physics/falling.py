@@ -10,6 +10,11 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
+_FREE = 0.01  # share of g by which an acceleration in the air may be off
+_OTHER = 0.25  # share of g beyond which a first step is no fall: no law claims to notice so large a change
+_EPSILON = 2.0**-22  # of speeds that were recorded in float32, times two
+_LONGEST = 0.3  # that a ball touches the ground before it leaves it; longer, it stays there [s]
+
 
 @dataclass(frozen=True)
 class Fall:
@@ -69,12 +74,6 @@ def deformation(position: Array) -> Array:
     moved = position - position[0]
     against = np.linalg.norm(moved - moved.mean(axis=2, keepdims=True), axis=-1)
     return np.asarray(against.max(axis=(0, 2)))
-
-
-_FREE = 0.01  # share of g by which an acceleration in the air may be off
-_OTHER = 0.25  # share of g beyond which a first step is no fall: no law claims to notice so large a change
-_EPSILON = 2.0**-22  # of speeds that were recorded in float32, times two
-_LONGEST = 0.3  # that a ball touches the ground before it leaves it; longer, it stays there [s]
 
 
 @dataclass(frozen=True)

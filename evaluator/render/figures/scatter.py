@@ -17,6 +17,16 @@ _MARK = 6.0  # half the room of a mark
 _ROOM = 0.06  # of the axes, around what is drawn
 _LEAST = 3.0  # ratio of an axis's ends at least
 
+LETTER = 6.4
+"""Width of a letter of a label at 11 px: more than most, for fonts differ."""
+
+HEIGHT = 12.0
+
+_BESIDE = 9.0  # from a point to a label that needs no line
+_FAR = (22.0, 32.0, 44.0, 58.0, 74.0, 92.0, 112.0, 136.0)  # to one that has a line
+_ANGLES = 16
+_GAP = 2.0  # from the end of a line to its label
+
 
 @dataclass(frozen=True)
 class Point:
@@ -171,17 +181,6 @@ def _words(points: Sequence[Point], across: str, up: str) -> str:
     if not fastest.broken:
         said += f"; fastest that is valid: {fastest.said or fastest.label}"
     return said
-
-
-LETTER = 6.4
-"""Width of a letter of a label at 11 px: more than most, for fonts differ."""
-
-HEIGHT = 12.0
-
-_BESIDE = 9.0  # from a point to a label that needs no line
-_FAR = (22.0, 32.0, 44.0, 58.0, 74.0, 92.0, 112.0, 136.0)  # to one that has a line
-_ANGLES = 16
-_GAP = 2.0  # from the end of a line to its label
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,11 @@ _RADAR_CAPTION = (
     "another picture. An outline is open at an axis without a value. Where all groups are equal they stand at the rim."
 )
 
+_HOW = (
+    "Raw values, a dot for each group that can be compared, with 95 % intervals over runs. A radar scales its axes "
+    "from the worst to the best of its groups; these axes are not scaled."
+)
+
 
 def _axis_title(axis: Axis) -> str:
     shown = on_radar(axis)
@@ -69,12 +74,6 @@ def _radar_figure(contenders: Sequence[Contender], radar: Radar) -> Figure:
         return Figure(title, why_not, None)
     svg = Markup(radar_chart.radar_chart(radar))
     return Figure(title, _RADAR_CAPTION, svg, "radar", Numbers(titles, rows))
-
-
-_HOW = (
-    "Raw values, a dot for each group that can be compared, with 95 % intervals over runs. A radar scales its axes "
-    "from the worst to the best of its groups; these axes are not scaled."
-)
 
 
 def section(source: Source) -> Section | None:

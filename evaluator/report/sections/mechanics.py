@@ -33,6 +33,9 @@ from gpusimbench.schemas.text import plural
 TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
+_SAID = f"An opened row shows what each check measured. Tolerances are those of {NEWEST.value}."
+_TONES = {Verdict.HELD: Tone.GOOD, Verdict.BROKEN: Tone.BAD}
+
 
 def fidelity_record(one: Fidelity) -> dict[str, Any]:
     """One group's physics for JSON: every check by its key, with its verdict."""
@@ -95,10 +98,6 @@ def _in_ranges(notes: Sequence[str]) -> Iterator[str]:
     for words, found in alike.items():
         ranges = (sorted(set(numbers), key=float) for numbers in zip(*found, strict=True))
         yield words.format(*(values[0] if len(values) == 1 else f"{values[0]} to {values[-1]}" for values in ranges))
-
-
-_SAID = f"An opened row shows what each check measured. Tolerances are those of {NEWEST.value}."
-_TONES = {Verdict.HELD: Tone.GOOD, Verdict.BROKEN: Tone.BAD}
 
 
 def section(source: Source) -> Section | Missing | None:

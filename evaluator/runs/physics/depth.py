@@ -35,6 +35,10 @@ REST = 0.01
 
 _CHECKS = (Check.DEPTH_REST, Check.DEPTH_EVER, Check.PAIR_REST, Check.PAIR_EVER)
 
+Mask = npt.NDArray[np.bool_]
+
+_ROW_BYTES = 16 << 20  # of positions read at a time
+
 
 class Depths:
     """Follows the deepest of all bodies; `facts` when all rows were fed."""
@@ -162,9 +166,6 @@ class Depths:
         return found
 
 
-Mask = npt.NDArray[np.bool_]
-
-
 def end_facts(setting: Setting, last: States) -> Facts:
     """The fastest motion and the fastest spin of cubes above a floor, once the scene's sample time is over."""
     checks = (Check.END_SPEED, Check.END_SPIN)
@@ -204,9 +205,6 @@ def _above_a_floor(setting: Setting, place: Array) -> Mask:
                 above &= largest(np.abs(floor.solid.local(place)[..., :2]) - floor.solid.half[:2]) <= 0
             found |= above
     return found
-
-
-_ROW_BYTES = 16 << 20  # of positions read at a time
 
 
 @dataclass(frozen=True)

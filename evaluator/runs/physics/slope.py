@@ -18,6 +18,14 @@ from gpusimbench.evaluator.runs.physics.world import FixedBody
 _CHECKS = (Check.ROLLING, Check.FOOT_SPEED, Check.SLIP)
 _MOST_ROWS = 1 << 14  # until the foot; a step so short that there are more is no simulator's
 
+_LEVEL = float(np.cos(np.radians(2.0)))  # of a face, to count as flat on the ground
+_HOVER = 1e-3  # between the heights of a cube that slides and of one that lies [m]
+_SPIN = 0.3  # speed of a corner about the centre over the speed, to count as sliding straight
+_SHARE = 0.05  # of the coefficient: a spin of 30 % takes 2 %, a tilt of 2 degrees lifts it for a while
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
 
 def slope_facts(setting: Setting) -> Facts:
     """Acceleration, speed at the foot, and slip of the first ball that starts at rest on a slope."""
@@ -84,15 +92,6 @@ def _find(setting: Setting) -> tuple[int, Descent] | Missing:
                 return Missing(f"friction may be too low for rolling: {friction:g}, and {way.enough:.3g} is needed")
             return index, way
     return Missing("no ball starts at rest on a slope")
-
-
-_LEVEL = float(np.cos(np.radians(2.0)))  # of a face, to count as flat on the ground
-_HOVER = 1e-3  # between the heights of a cube that slides and of one that lies [m]
-_SPIN = 0.3  # speed of a corner about the centre over the speed, to count as sliding straight
-_SHARE = 0.05  # of the coefficient: a spin of 30 % takes 2 %, a tilt of 2 degrees lifts it for a while
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 
 class Slides:

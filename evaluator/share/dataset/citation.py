@@ -30,6 +30,13 @@ _ASK = (
     "us), CC0-1.0 (do as you like) or Apache-2.0"
 )
 
+CITATION = "CITATION.cff"
+
+_ORCID = re.compile(r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])")
+_DOI = re.compile(r"10\.\d{4,9}(\.\d+)?/[A-Za-z0-9:/_;\-.()\[\]\\]+")
+_URL = re.compile(r"https?://[^\s\"<>]+")
+_LONGEST = 200
+
 
 def check_licence(name: str | None) -> str:
     """A licence's SPDX identifier as it is written; UsageError that says what to do where there is none."""
@@ -44,14 +51,6 @@ def check_licence(name: str | None) -> str:
         f"--licence {name!r} is not among those known here; {_ASK}. Known: {', '.join(sorted(HUB_NAMES))}; for terms "
         "of your own LicenseRef-NAME, with their text in the file LICENSE of the folder"
     )
-
-
-CITATION = "CITATION.cff"
-
-_ORCID = re.compile(r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])")
-_DOI = re.compile(r"10\.\d{4,9}(\.\d+)?/[A-Za-z0-9:/_;\-.()\[\]\\]+")
-_URL = re.compile(r"https?://[^\s\"<>]+")
-_LONGEST = 200
 
 
 @dataclass(frozen=True)

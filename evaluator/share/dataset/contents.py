@@ -27,6 +27,11 @@ MAX_PATH = 512
 MAX_PARTS = 16
 _SEPARATORS_ELSEWHERE = "\\:"
 
+_AT_ONCE = 1 << 20
+INTEGRITY = "integrity-1"
+WHOLE, BROKEN, DAMAGED = "whole", "broken", "damaged"
+"""Outcomes: every rule of INTEGRITY holds; one is broken; the file is damaged, or a rule could not be asked."""
+
 
 @dataclass(frozen=True)
 class Found:
@@ -99,12 +104,6 @@ def collisions(paths: Iterable[str]) -> list[tuple[str, str]]:
         if first != path:
             pairs.append((first, path))
     return pairs
-
-
-_AT_ONCE = 1 << 20
-INTEGRITY = "integrity-1"
-WHOLE, BROKEN, DAMAGED = "whole", "broken", "damaged"
-"""Outcomes: every rule of INTEGRITY holds; one is broken; the file is damaged, or a rule could not be asked."""
 
 
 @dataclass(frozen=True)

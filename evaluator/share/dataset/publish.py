@@ -56,6 +56,13 @@ _COMMON = {"localhost", "root", "user", "ubuntu", "admin", "test", "home"}
 _SHORTEST = 4
 _MOST = 20  # of one recording
 
+DESCRIBING = (CARD, CITATION, METRICS, RUNS)
+"""Files that a card is made of, beside the manifest and the checksums."""
+
+OURS = (*DESCRIBING, MANIFEST, CHECKSUMS)
+
+_MOST_NAMED = 5
+
 
 @dataclass(frozen=True)
 class Personal:
@@ -107,14 +114,6 @@ def _user() -> str:
         return getpass.getuser()
     except (KeyError, OSError):  # of a user that nobody knows, as in many a container
         return ""
-
-
-DESCRIBING = (CARD, CITATION, METRICS, RUNS)
-"""Files that a card is made of, beside the manifest and the checksums."""
-
-OURS = (*DESCRIBING, MANIFEST, CHECKSUMS)
-
-_MOST_NAMED = 5
 
 
 @dataclass(frozen=True)

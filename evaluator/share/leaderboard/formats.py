@@ -27,6 +27,17 @@ _SHORT = 10
 _LONGEST = 100
 _YES_OR_NO = re.compile(r"^found (yes|no) ")
 
+COLUMNS = (
+    "scene", "device", "dt_s", "place", "simulator", "version", "determinism", "label", "n_env", "runs", "recordings",
+    "fps", "fps_sd", "fps_low", "fps_high", "memory", "memory_unit", "n_env_max", "distinct_envs", "distinct_runs",
+    "type", "check", "reproduced", "replays", "gates", "no_place", "content_hashes",
+    *(column.title for column in timed.ALL),
+)  # fmt: skip
+
+SCHEMA_VERSION = 1
+KIND = "gpusimbench leaderboard"
+"""By which a leaderboard's document is told from other files of that name."""
+
 
 def leaderboard_lines(board: Board) -> Iterator[str]:
     """The first of each section, and how many stand behind."""
@@ -124,14 +135,6 @@ def _brief(value: object) -> str:
     return cut(value if isinstance(value, str) else json.dumps(value, sort_keys=True), 60)
 
 
-COLUMNS = (
-    "scene", "device", "dt_s", "place", "simulator", "version", "determinism", "label", "n_env", "runs", "recordings",
-    "fps", "fps_sd", "fps_low", "fps_high", "memory", "memory_unit", "n_env_max", "distinct_envs", "distinct_runs",
-    "type", "check", "reproduced", "replays", "gates", "no_place", "content_hashes",
-    *(column.title for column in timed.ALL),
-)  # fmt: skip
-
-
 def dump_csv(board: Board) -> str:
     """A line for each row, with the names of the columns first."""
     return to_csv(COLUMNS, (_values(section, row) for section in board.sections for row in section.rows))
@@ -150,11 +153,6 @@ def _values(section: Section, row: Row) -> tuple[Cell, ...]:
         "; ".join(row.gates), row.no_place, " ".join(entry.content_hash for entry in row.entries),
         *timed.cells(timed.ALL, row.result.timed),
     )  # fmt: skip
-
-
-SCHEMA_VERSION = 1
-KIND = "gpusimbench leaderboard"
-"""By which a leaderboard's document is told from other files of that name."""
 
 
 def dump_json(board: Board) -> str:

@@ -21,6 +21,10 @@ Array = npt.NDArray[np.float64]
 _LARGE = 1e6
 _NO_PERIOD = "no whole period was recorded"
 
+_SMALL = 1e-9
+_PAIRS = {"large": slice(0, 2), "small": slice(2, 4)}
+"""Joints of each pendulum, the upper before the lower."""
+
 
 def pendulum_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
     """The laws, or why none can be measured; DamagedRecording where the scene does not describe a pendulum."""
@@ -87,11 +91,6 @@ def _change(time: Array, energy: Array, speed: Array, period: float) -> tuple[fl
         return math.nan, math.nan
     lost = float((speed**2).mean()) * (time[-1] - period)
     return float(energy[last].mean()) / before - 1.0, lost / before
-
-
-_SMALL = 1e-9
-_PAIRS = {"large": slice(0, 2), "small": slice(2, 4)}
-"""Joints of each pendulum, the upper before the lower."""
 
 
 def double_pendulum_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
