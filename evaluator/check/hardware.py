@@ -1,4 +1,4 @@
-"""What the readings of the hardware come to: of the timed phase, or of the whole run where nothing was timed."""
+"""What the hardware's readings of the timed phase, or of the whole run, come to; and why a GPU held its clocks down."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from gpusimbench.evaluator.metrics.throughput import frames_per_second
 from gpusimbench.evaluator.read.episodes import EpisodeCounts, count_episodes
 from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.cotenancy import gpu_memory
+from gpusimbench.evaluator.runs.memory import gpu_memory
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, GsbError, NotARecording
 from gpusimbench.schemas.fields import StateField

@@ -30,9 +30,9 @@ from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.timed_work import TimedWork, timed_work
-from gpusimbench.evaluator.runs.cotenancy import notes as cotenant_notes
-from gpusimbench.evaluator.runs.cotenancy import with_peers
 from gpusimbench.evaluator.runs.groups import group, status_notes
+from gpusimbench.evaluator.runs.memory import notes as cotenant_notes
+from gpusimbench.evaluator.runs.memory import with_peers
 from gpusimbench.evaluator.statistics.families import able_to_reject, holm
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import ExitCode

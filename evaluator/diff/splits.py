@@ -1,4 +1,4 @@
-"""Which states are the same: classes of environments, and when they split."""
+"""Which states are the same, by state hashes or states: classes of environments, and when they split."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
 from gpusimbench.evaluator.read.stamp import Stamp, stamp_of
 from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.streams import Fingerprints
-from gpusimbench.evaluator.runs.cotenancy import allocator_peak, gpu_memory, host_memory
+from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_memory
 from gpusimbench.evaluator.runs.outcome import outcome_of
 from gpusimbench.evaluator.runs.physics.depth import count_sunk
 from gpusimbench.evaluator.runs.physics.measure import physics_of

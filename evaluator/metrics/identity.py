@@ -1,4 +1,4 @@
-"""Bit-identity: which samples are the same bytes, and since when they are not."""
+"""Bit-identity: which samples are the same bytes, and since when they are not; and that as a tree of splits."""
 
 from __future__ import annotations
 

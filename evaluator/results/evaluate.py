@@ -36,7 +36,7 @@ from gpusimbench.evaluator.results.result import GroupResult, Map, RunSpread
 from gpusimbench.evaluator.results.sweeps import accumulations, find_sweeps
 from gpusimbench.evaluator.results.timed_work import timed_work
 from gpusimbench.evaluator.results.validity import validity_of
-from gpusimbench.evaluator.runs import cotenancy
+from gpusimbench.evaluator.runs import memory
 from gpusimbench.evaluator.runs.groups import Group, group, status_notes
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
 from gpusimbench.evaluator.runs.run import Run
@@ -106,7 +106,7 @@ def evaluate(
     files = list(files)
     failures = [f for f in files if isinstance(f, Unreadable)]
     distinct, notes = without_copies([f for f in files if isinstance(f, Run)], failures)
-    distinct = cotenancy.with_peers(distinct)
+    distinct = memory.with_peers(distinct)
 
     measured = [r for r in distinct if r.configuration.simulator == REAL]
     groups = [g for g in group(distinct) if not g.measured]
@@ -325,7 +325,7 @@ def _notes(group: Group[Run], runs: Sequence[Run], reference: Reference | Missin
         notes.append(f"positions are those at {sampled:g} s, the step nearest to {sample_time:g} s")
     if isinstance(reference, Reference) and reference.run_id in {r.provenance.run_id for r in runs}:
         notes.append("the reference is one of this group's own runs, whose distance of zero is part of the mean")
-    return [*notes, *cotenancy.notes(runs)]
+    return [*notes, *memory.notes(runs)]
 
 
 def _warnings(result: GroupResult) -> list[str]:

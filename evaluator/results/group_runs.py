@@ -1,4 +1,4 @@
-"""What the metrics of a group are computed from: its complete runs, and what several metrics need of them."""
+"""What the metrics of a group are computed from: its complete runs, and those that recorded the sample step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the bodies of the outcome are at the sample step, as every positional metric needs it."""
+"""Where the bodies of the outcome are at the sample step, and their joints, as every positional metric needs it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""State hashes of a run, boiled down to what comparing environments and runs needs."""
+"""Hashes of a run's states and of its program's arrays, reduced to what comparing environments and runs needs."""
 
 from __future__ import annotations
 

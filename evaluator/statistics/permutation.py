@@ -1,4 +1,4 @@
-"""Permutation floor: the W1 that two samples of one and the same law already have."""
+"""Permutation tests: the W1 that samples of one law already have, and whether a number goes with a run's outcome."""
 
 from __future__ import annotations
 

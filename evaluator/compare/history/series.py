@@ -12,9 +12,9 @@ from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all
 from gpusimbench.evaluator.results.evaluate import without_copies
 from gpusimbench.evaluator.results.group_runs import GroupRuns
-from gpusimbench.evaluator.runs.cotenancy import with_peers
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, group
 from gpusimbench.evaluator.runs.labels import labels, options_given
+from gpusimbench.evaluator.runs.memory import with_peers
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import UsageError

@@ -1,4 +1,4 @@
-"""Closed forms of mechanics, as pure functions of a scene's parameters."""
+"""Closed forms of mechanics, as pure functions of a scene's parameters; energy and modes of a double pendulum."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the recordings of a set hold: each checked and read once, then evaluated together."""
+"""What a set's folder has: its files as safe relative paths, and its recordings, each checked, read and evaluated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""gsb-share card: the files that describe a folder of recordings, written into it."""
+"""gsb-share card: the files that describe a folder, written into it; and what a publisher may not want to publish."""
 
 from __future__ import annotations
 

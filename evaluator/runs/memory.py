@@ -1,4 +1,4 @@
-"""Other processes on the device, as far as all runs together tell; and what a reader must know of them."""
+"""What a run held in memory, and other processes on its device, as far as all runs together tell."""
 
 from __future__ import annotations
 
