@@ -1,4 +1,4 @@
-"""The recorded states of two selections, read side by side in bounded memory."""
+"""The recorded states of two sides, read side by side in bounded memory; and bodies that are only in another order."""
 
 from __future__ import annotations
 
