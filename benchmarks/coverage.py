@@ -15,11 +15,16 @@ import numpy as np
 from scipy.special import stdtrit
 
 from benchmarks.arguments import parser
-from gpusimbench.evaluator.metrics.regime import Regime, published_regime
 from gpusimbench.evaluator.statistics.energy import energy_distance
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
 from gpusimbench.evaluator.statistics.permutation import permutation_floor
-from gpusimbench.evaluator.statistics.regimes import Resampling, regime_probabilities, upper_bound_of_none
+from gpusimbench.evaluator.statistics.regimes import (
+    Regime,
+    Resampling,
+    published_regime,
+    regime_probabilities,
+    upper_bound_of_none,
+)
 
 RUNS = (3, 5, 10, 20)
 LEVEL = 0.05

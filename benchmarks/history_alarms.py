@@ -22,10 +22,9 @@ from scipy import stats
 from benchmarks.false_alarms import Run, kept, read_run
 from gpusimbench.evaluator.compare.finding import Change, Settings
 from gpusimbench.evaluator.compare.history.history import History, trace
-from gpusimbench.evaluator.compare.history.points import Point, Points
+from gpusimbench.evaluator.compare.history.series import Point, Points
 from gpusimbench.evaluator.compute.work import HERE
-from gpusimbench.evaluator.inputs.known_files import read_all
-from gpusimbench.evaluator.inputs.reader import Reader
+from gpusimbench.evaluator.inputs.reader import Reader, read_all
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.runs.groups import group

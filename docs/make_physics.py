@@ -16,7 +16,7 @@ from page_blocks import redraw
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.numbers import NONE
-from gpusimbench.evaluator.report.fidelity import allowed, number
+from gpusimbench.evaluator.report.sections.mechanics import allowed, number
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
 from gpusimbench.evaluator.runs.groups import group
 from gpusimbench.evaluator.runs.labels import labels, options_given

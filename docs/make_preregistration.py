@@ -24,8 +24,13 @@ from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.results.toss_metrics import TOSS_END_POSITION, TOSS_FACE, TOSS_POSITION, TOSS_ROTATION
-from gpusimbench.evaluator.results.toss_ranking import errors_by_toss
+from gpusimbench.evaluator.results.toss_metrics import (
+    TOSS_END_POSITION,
+    TOSS_FACE,
+    TOSS_POSITION,
+    TOSS_ROTATION,
+    errors_by_toss,
+)
 from gpusimbench.evaluator.statistics.cases import Paired, paired
 from gpusimbench.evaluator.statistics.families import holm
 

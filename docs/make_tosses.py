@@ -33,8 +33,11 @@ from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_LOCAL_ROTATION,
     TOSS_POSITION,
     TOSS_ROTATION,
+    Ranked,
+    beaten_by,
+    configuration,
+    ranked,
 )
-from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, configuration, ranked
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
 from gpusimbench.evaluator.statistics.families import holm

@@ -1,7 +1,8 @@
-"""A value, or the reason why there is none: the type for that in runs, estimates and growth."""
+"""A value, or the reason why there is none; and claims that are true, false or were not compared, with the reason."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
@@ -29,3 +30,29 @@ def known(value: _T | Missing) -> _T | None:
 def why_missing(value: object) -> str:
     """The reason why a value is not there; empty where it is."""
     return value.reason if isinstance(value, Missing) else ""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """Whether something holds.
+
+    holds    None where it was not compared, and `why_not` says why
+    """
+
+    holds: bool | None
+    why_not: str = ""
+
+    @property
+    def yes(self) -> bool:
+        """Whether it was compared and holds: the one that a sentence may be made of."""
+        return self.holds is True
+
+
+def every(parts: Iterable[Claim | bool | None], why_not: str = "nothing was compared") -> Claim:
+    """Whether all parts hold: no where one does not, and not compared where one was not, or where there are none."""
+    found = [part if isinstance(part, Claim) else Claim(part, "" if part is not None else why_not) for part in parts]
+    if any(part.holds is False for part in found):
+        return Claim(False)
+    if reasons := [part.why_not or why_not for part in found if part.holds is None]:
+        return Claim(None, "; ".join(dict.fromkeys(reasons)))
+    return Claim(True) if found else Claim(None, why_not)

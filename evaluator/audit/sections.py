@@ -1,14 +1,19 @@
-"""What gsb-audit says: did re-execution give the same? Then what was checked, run and compared, and what differs."""
+"""What gsb-audit says: whether re-execution gave the same, what was checked and compared; and the same as JSON."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from gpusimbench.evaluator.audit.audit import Audit, Outcome
 from gpusimbench.evaluator.audit.checking import RULES, Check
 from gpusimbench.evaluator.audit.verdict import Level, Rung
-from gpusimbench.evaluator.diff import program_words
+from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Difference, Divergence
 from gpusimbench.evaluator.diff.verdict import apart, equal_before, gap_before, place_of
 from gpusimbench.evaluator.diff.words import differ
+from gpusimbench.evaluator.json_values import dump, picked, values_of
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
@@ -24,6 +29,7 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.runs.groups import shown_status
+from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import engine_name
 from gpusimbench.schemas.text import cut, few, first, plural
 
@@ -49,6 +55,8 @@ _VALUE, _COMMAND = 60, 200
 _FILES, _NAMES, _NOTES = 3, 4, 3
 
 Pairs = list[tuple[str, Cell | str]]
+
+SCHEMA_VERSION = 1
 
 
 def audit_document(audit: Audit, checked: Check, *, every: bool = False) -> Document:
@@ -116,7 +124,7 @@ def _facts(audit: Audit, checked: Check, every: bool) -> Pairs:
     if audit.difference is not None:
         program = audit.difference.program
         if program is not None and program.first is not None:
-            said = program_words.sentence(program, program.first, "original and replay", audit.difference.a.dt)
+            said = words.sentence(program, program.first, "original and replay", audit.difference.a.dt)
             pairs.append(("differs", said))
         elif audit.difference.first is not None:
             pairs.append(("differs", _first(audit.difference.first)))
@@ -186,3 +194,57 @@ def _notes(difference: Difference, every: bool) -> list[Block]:
     if not every and len(notes) > _NOTES + 1:
         notes = [*notes[:_NOTES], f"  and {len(notes) - _NOTES} more notes, printed with --all"]
     return [Items(tuple(map(Item, notes)))] if notes else []
+
+
+def dump_json(audits: Sequence[Audit], checked: Check, required: Level) -> str:
+    """What ``gsb-audit --json`` writes."""
+    document = {
+        "schema_version": SCHEMA_VERSION,
+        "require": required,
+        "audits": [_audit(audit, required) for audit in audits],
+        "rules": RULES,
+        "damaged": _findings(checked.damaged),
+        "broken": _findings(checked.broken),
+        "warnings": _findings(checked.warnings),
+    }
+    return dump(values_of(document))
+
+
+def _findings(found: Mapping[Place, tuple[str, ...]]) -> list[dict[str, Any]]:
+    return [{"file": path, "findings": sentences} for path, sentences in found.items()]
+
+
+def _audit(audit: Audit, required: Level) -> dict[str, Any]:
+    d, replays = audit.difference, audit.replays
+    return {
+        "originals": [_recording_record(r) for r in audit.originals],
+        "command": replays.command if replays else None,
+        "outcome": audit.outcome,
+        "replays": replays.made if replays else [],
+        "compared": [_recording_record(r) for r in audit.recordings],
+        "level": audit.level,
+        "meets_requirement": audit.meets(required),
+        "why_not": audit.why_not,
+        "rungs": audit.verdict.rungs if audit.verdict else [],
+        "law": audit.verdict.law if audit.verdict else None,
+        "difference": None
+        if d is None
+        else {
+            "a": d.a.path,
+            "b": d.b.path,
+            **picked(d, "bit_identical same_up_to_env_order max_ulp compared first program notes"),
+        },
+        "settings": audit.settings.deciding,
+        "other_packages": audit.settings.packages,
+    }
+
+
+def _recording_record(recording: Recording) -> dict[str, Any]:
+    made = recording.provenance
+    return {
+        "file": recording.path,
+        "run_id": made.run_id,
+        "content_hash": recording.content_hash,
+        "status": recording.status,
+        "replay_of": made.replay_of,
+    }

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gpusimbench.evaluator.audit.distribution import ALPHA, LawTest, Unit, runs_needed
-from gpusimbench.evaluator.results.claims import every
+from gpusimbench.evaluator.missing import every
 from gpusimbench.schemas.commands.progress import duration
 
 

@@ -1,4 +1,4 @@
-"""A bisection: which releases are recorded, what each showed, and between which two the change lies."""
+"""A bisection by halves: which releases are recorded, what each showed, where the change lies; in words and as JSON."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gpusimbench.evaluator.bisect.environment import NotInstalled, environment_of
-from gpusimbench.evaluator.bisect.plan import Plan
+from gpusimbench.evaluator.bisect.environment import NotInstalled, Plan, environment_of
 from gpusimbench.evaluator.bisect.predicates import Predicate, Verdict, by_states, first_number
-from gpusimbench.evaluator.bisect.search import Bounds, search
 from gpusimbench.evaluator.compute.recorder import record
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.diff.settings import differing_settings
+from gpusimbench.evaluator.diff.words import names
+from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.document import Block, Cell, Document, Text, Tone, facts, table
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import GsbError, UsageError
@@ -22,6 +23,57 @@ from gpusimbench.schemas.location import place
 _ENVIRONMENTS = "environments"
 _PACKAGES = "software.packages."
 _OURS = ("software.recorder.",)  # which code recorded: a bisection that goes on later may have another
+
+SCHEMA_VERSION = 1
+
+_WORDS = {True: ("differs", Tone.BAD), False: ("the same", Tone.GOOD), None: ("not judged", Tone.WARNING)}
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Between which releases the change lies, as indices.
+
+    same       the last that is known to be like the first of all
+    different  the first that is known to differ; None: the last of all does not
+    skipped    releases between them that could not be judged
+    """
+
+    same: int
+    different: int | None
+    skipped: tuple[int, ...] = ()
+
+
+def most(count: int) -> int:
+    """How many of so many releases are recorded at most, where all can be judged: ceil(log2(count)) + 2."""
+    return (count - 1).bit_length() + 2
+
+
+def search(count: int, judge: Callable[[int], bool | None]) -> Bounds:
+    """Find two neighbours of which the one is like release 0 and the other is not.
+
+    count  of releases, at least 2
+    judge  whether a release differs from release 0; None where that cannot be told. It is asked of the last release
+           first, never of release 0, and never twice
+
+    Where releases change back and forth, this is one of the changes. Where the last release cannot be judged, it is
+    among the skipped, and nothing is known to differ.
+    """
+    last = count - 1
+    verdict = judge(last)
+    if not verdict:
+        return Bounds(last, None) if verdict is False else Bounds(0, None, (last,))
+    low, high = 0, last
+    skipped: set[int] = set()
+    while left := [i for i in range(low + 1, high) if i not in skipped]:
+        middle = min(left, key=lambda i: abs(2 * i - low - high))
+        verdict = judge(middle)
+        if verdict is None:
+            skipped.add(middle)
+        elif verdict:
+            high = middle
+        else:
+            low = middle
+    return Bounds(low, high, tuple(i for i in sorted(skipped) if low < i < high))
 
 
 class NotRecorded(GsbError):
@@ -188,3 +240,60 @@ def _found(
         {version: tuple(str(r.path) for r in files[version]) for version in versions if version in files},
         same, different, tuple(versions[index] for index in bounds.skipped), step, first, packages, others,
     )  # fmt: skip
+
+
+_SHOWN_PACKAGES, _SETTINGS = 4, 4
+
+
+def bisect_document(found: Bisection) -> Document:
+    """The verdict, a row for each release that was recorded, and what changed with the first that differs."""
+    good = Verdict(False, "the good release")
+    rows = [_row(version, verdict) for version, verdict in {found.versions[0]: good, **found.tested}.items()]
+    blocks: list[Block] = [
+        Text(verdict_of(found), Tone.PLAIN if found.exact else Tone.WARNING),
+        table("releases", "", ("release", f"against {found.versions[0]}", "evidence"), rows),
+    ]
+    if pairs := _pairs(found):
+        blocks.append(facts(*pairs))
+    return Document("", tuple(blocks))
+
+
+def verdict_of(found: Bisection) -> str:
+    """One sentence: which release is the first that differs."""
+    what = "states" if found.predicate == "states" else "recordings"
+    good, bad = found.versions[0], found.versions[-1]
+    where = f"in {found.scene}"
+    if found.different is None:
+        return f"{found.package} {bad} does not differ from {good} {where}, judged by {found.predicate}."
+    if found.skipped:
+        left = f"{', '.join(found.skipped)} could not be judged"
+        return f"The {what} {where} changed after {found.package} {found.same} and up to {found.different}; {left}."
+    return f"{found.package} {found.different} is the first release whose {what} {where} differ from those of {good}."
+
+
+def dump_json(found: Bisection) -> str:
+    """The document that ``gsb-bisect --json`` writes."""
+    return dump(
+        {"schema_version": SCHEMA_VERSION, "verdict": verdict_of(found), "exact": found.exact, **values_of(found)}
+    )
+
+
+def _row(version: str, verdict: Verdict) -> list[Cell | str]:
+    word, tone = _WORDS[verdict.different]
+    return [version, Cell(word, tone=tone), verdict.evidence]
+
+
+def _pairs(found: Bisection) -> list[tuple[str, str]]:
+    if found.different is None:
+        return []
+    pairs = [(f"{found.same} to {found.different}", found.step)]
+    if found.first:
+        pairs.append(("first number", found.first))
+    # the engine's own packages first: a release may come in several
+    ordered = sorted(found.packages, key=lambda one: (not one.name.startswith(found.package), one.name))
+    changed = names([f"{one.name} {one.a} to {one.b}" for one in ordered], _SHOWN_PACKAGES) or "the same versions"
+    several = "several packages changed at once: " if len(found.packages) > 1 else ""
+    pairs.append(("packages", f"{several}{changed}"))
+    if found.settings:
+        pairs.append(("also differs", names([one.name for one in found.settings], _SETTINGS)))
+    return pairs

@@ -1,4 +1,4 @@
-"""Environments of releases, by venv and pip: one release each, and otherwise the versions that this Python has."""
+"""Environments of releases, by venv and pip, one release each; and what gsb-record records of each."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+from gpusimbench.evaluator.compute.recorder import as_path
 from gpusimbench.schemas.commands.suggestion import did_you_mean
+from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.writing import write_file
 
@@ -99,3 +102,45 @@ def _call(command: list[str]) -> str:
         said = [text for text in done.stderr.splitlines() if text.startswith("ERROR")] or done.stderr.splitlines()
         raise GsbError(f"{' '.join(command[1:5])} ... failed: {said[-1] if said else 'it did not say why'}")
     return done.stdout
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The runs of every release.
+
+    options  NAME=VALUE, with those by which every release of the engine steps in the same way
+    steps    that are captured
+    runs     of each release
+    timed    whether there is a timed phase
+    """
+
+    simulator: str
+    scene: str
+    options: tuple[str, ...]
+    n_env: int
+    steps: int
+    seed: int
+    runs: int
+    timed: bool
+
+    def arguments(self, python: Path, runs: int, out: Path) -> list[str]:
+        """Of gsb-record, for so many runs by that Python."""
+        given = ["--sim", self.simulator, "--scene", self.scene, "--python", as_path(python)]
+        given += [f"--option={option}" for option in self.options]
+        given += ["--n-env", str(self.n_env), "--runs", str(runs), "--seed", str(self.seed)]
+        given += ["--steps", str(self.steps)]
+        given += ["--phases", "timed,capture" if self.timed else "capture"]
+        return [*given, "--no-view", "--compression", "zstd", "--out", as_path(out)]
+
+    def has(self, c: RunConfiguration) -> bool:
+        """Whether a run is what this plan asks for."""
+        found = (c.simulator, c.scene, c.n_env, c.seed, c.steps, "timed" in c.phases, c.option_words)
+        return found == (
+            self.simulator, self.scene, self.n_env, self.seed, self.steps, self.timed, sorted(self.options)
+        )  # fmt: skip
+
+
+def with_options(asked: tuple[str, ...], common: dict[str, str]) -> tuple[str, ...]:
+    """The options that were asked for, after those that make releases step alike; the former decide."""
+    given = {name for name, _, _ in (option.partition("=") for option in asked)}
+    return (*(f"{name}={value}" for name, value in common.items() if name not in given), *asked)

@@ -15,7 +15,7 @@ from gpusimbench.schemas.text import show_document
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
-    from gpusimbench.evaluator.compute.cache.store import Store
+    from gpusimbench.evaluator.compute.cache import Store
     from gpusimbench.evaluator.read.recording import Recording
 
 
@@ -98,7 +98,7 @@ def add_cache(parser: argparse.ArgumentParser) -> None:
 
 def store_of(arguments: argparse.Namespace) -> Store | None:
     """Where results are kept between commands; None where they are not."""
-    from gpusimbench.evaluator.compute.cache.store import Store, default_folder
+    from gpusimbench.evaluator.compute.cache import Store, default_folder
 
     if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
         raise UsageError(f"--cache must be a folder, and {arguments.cache} is not one")

@@ -124,9 +124,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Audit and print; returns the exit code."""
     from gpusimbench.evaluator.audit.audit import audit
     from gpusimbench.evaluator.audit.checking import check_files
-    from gpusimbench.evaluator.audit.json import dump_json
     from gpusimbench.evaluator.audit.replaying import ReplayPlan
-    from gpusimbench.evaluator.audit.sections import audit_document
+    from gpusimbench.evaluator.audit.sections import audit_document, dump_json
     from gpusimbench.evaluator.audit.verdict import Level
     from gpusimbench.evaluator.read.addresses import expand_paths
     from gpusimbench.evaluator.render.terminal import print_document

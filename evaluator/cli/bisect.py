@@ -17,7 +17,7 @@ from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from gpusimbench.evaluator.bisect.plan import Plan
+    from gpusimbench.evaluator.bisect.environment import Plan
 
 _OUT = Path("bisect")
 _N_ENV, _STEPS = 4, 500
@@ -92,11 +92,9 @@ def parser() -> Parser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Record what is missing, search and print; returns the exit code."""
-    from gpusimbench.evaluator.bisect.bisection import Releases, bisect
-    from gpusimbench.evaluator.bisect.document import bisect_document, dump_json
+    from gpusimbench.evaluator.bisect.bisection import Releases, bisect, bisect_document, dump_json, most
     from gpusimbench.evaluator.bisect.environment import between, releases
     from gpusimbench.evaluator.bisect.predicates import predicate_of
-    from gpusimbench.evaluator.bisect.search import most
     from gpusimbench.evaluator.compute.recorder import about
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # no run goes on that nobody waits for
@@ -154,7 +152,7 @@ def _check(arguments: argparse.Namespace, given: dict[str, Path]) -> None:
 
 
 def _plan(arguments: argparse.Namespace, engine: dict[str, Any]) -> Plan:
-    from gpusimbench.evaluator.bisect.plan import Plan, with_options
+    from gpusimbench.evaluator.bisect.environment import Plan, with_options
     from gpusimbench.evaluator.bisect.predicates import compares
 
     several = compares(arguments.predicate)

@@ -61,8 +61,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Check and print; returns the exit code."""
     from gpusimbench.evaluator.check.rules.findings import check
     from gpusimbench.evaluator.check.rules.rule import PROTOCOL, SHIPPED, load_rules
-    from gpusimbench.evaluator.report.check_document import check_document, rules_document
-    from gpusimbench.evaluator.report.check_json import dump_check, dump_rules
+    from gpusimbench.evaluator.report.check_document import check_document, dump_check, dump_rules, rules_document
 
     check_target(arguments.json)
     names = arguments.rules or (SHIPPED if arguments.list_rules else ["integrity-1"])

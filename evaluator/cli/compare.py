@@ -179,8 +179,7 @@ def _run_sets(arguments: argparse.Namespace, settings: Settings, command: str) -
     base, head = _given(arguments)
 
     from gpusimbench.evaluator.compare.compare import compare
-    from gpusimbench.evaluator.compare.document import comment, full, short
-    from gpusimbench.evaluator.compare.json import dump_json
+    from gpusimbench.evaluator.compare.document import comment, dump_json, full, short
     from gpusimbench.evaluator.compare.junit import junit
     from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.read.addresses import expand
@@ -209,7 +208,7 @@ def _run_history(arguments: argparse.Namespace, settings: Settings, command: str
     from gpusimbench.evaluator.compare.history.document import full, short
     from gpusimbench.evaluator.compare.history.history import trace
     from gpusimbench.evaluator.compare.history.json import dump_json
-    from gpusimbench.evaluator.compare.history.points import read_points
+    from gpusimbench.evaluator.compare.history.series import read_points
     from gpusimbench.evaluator.render.html import render_page
     from gpusimbench.evaluator.render.markdown import render_markdown
 

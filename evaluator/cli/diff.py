@@ -61,8 +61,7 @@ def parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Compare and print; returns the exit code."""
-    from gpusimbench.evaluator.diff.json import dump_json
-    from gpusimbench.evaluator.diff.sections import diff_document
+    from gpusimbench.evaluator.diff.sections import diff_document, dump_json
     from gpusimbench.evaluator.read.addresses import expand
 
     arguments.files = expand(arguments.files, copies=True)

@@ -79,8 +79,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
     from gpusimbench.evaluator.episodes.comparison import compare
     from gpusimbench.evaluator.episodes.document import dump_json, episodes_document
-    from gpusimbench.evaluator.episodes.outcome import outcome
-    from gpusimbench.evaluator.episodes.profile import profiles
+    from gpusimbench.evaluator.episodes.outcome import outcome, profiles
     from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side, without_repeats
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.read.addresses import expand
@@ -111,8 +110,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _across(arguments: argparse.Namespace) -> int:
-    from gpusimbench.evaluator.episodes.across_document import across_document, dump_across
     from gpusimbench.evaluator.episodes.dependence import Across, Setting, dependences, grouped
+    from gpusimbench.evaluator.episodes.document import across_document, dump_across
     from gpusimbench.evaluator.episodes.outcome import outcome
     from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side, without_repeats
     from gpusimbench.evaluator.episodes.success import At

@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
         polars()  # before anything is computed
     if arguments.figures:
-        from gpusimbench.evaluator.report.paper.pdf import reportlab
+        from gpusimbench.evaluator.report.paper import reportlab
 
         reportlab()
     with ExitStack() as stack:
@@ -173,7 +173,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         for table in paths:
             show(line(f"table: {table}"), error=arguments.json == "-")
     if arguments.figures:
-        from gpusimbench.evaluator.report.paper.figures import write_figures
+        from gpusimbench.evaluator.report.paper import write_figures
 
         with stage("drawing figures"):
             written = write_figures(evaluation, arguments.figures, published=arguments.published)

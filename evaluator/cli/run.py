@@ -13,7 +13,7 @@ from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser, say
 from gpusimbench.schemas.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from gpusimbench.evaluator.programs.comparison import Comparison
+    from gpusimbench.evaluator.programs import Comparison
 
 _MOST_RUNS = 1000
 
@@ -68,8 +68,7 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Run the program, compare and print; returns the exit code."""
     from gpusimbench.evaluator.compute.recorder import run_program
-    from gpusimbench.evaluator.programs.comparison import compare_runs
-    from gpusimbench.evaluator.programs.document import dump_json, runs_document
+    from gpusimbench.evaluator.programs import compare_runs, dump_json, runs_document
 
     program = arguments.program[1:] if arguments.program[0] == "--" else arguments.program
     if not program or not program[0]:

@@ -240,9 +240,14 @@ def _add_sets(verbs: Any) -> None:
 
 
 def _card(arguments: argparse.Namespace) -> int:
-    from gpusimbench.evaluator.share.dataset.citation import Publication, check_doi, check_url, parse_author
+    from gpusimbench.evaluator.share.dataset.citation import (
+        Publication,
+        check_doi,
+        check_licence,
+        check_url,
+        parse_author,
+    )
     from gpusimbench.evaluator.share.dataset.contents import BROKEN, DAMAGED
-    from gpusimbench.evaluator.share.dataset.licences import check_licence
     from gpusimbench.evaluator.share.dataset.publish import publish
     from gpusimbench.evaluator.share.dataset.text import published_lines, warnings_of
 
@@ -321,8 +326,8 @@ def _add_leaderboard(verbs: Any) -> None:
 
 def _leaderboard(arguments: argparse.Namespace) -> int:
     from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.share.leaderboard.formats import leaderboard_lines
     from gpusimbench.evaluator.share.leaderboard.make import make_leaderboard
-    from gpusimbench.evaluator.share.leaderboard.words import leaderboard_lines
 
     check_sample_time(arguments.sample_time)
     if not arguments.title.strip() or not arguments.title.isprintable():

@@ -69,8 +69,8 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Read, write and open; returns the exit code."""
     from gpusimbench.evaluator.player.clip import make_clip
+    from gpusimbench.evaluator.player.page import sentences
     from gpusimbench.evaluator.player.programs import Program, found
-    from gpusimbench.evaluator.player.words import sentences
     from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.read.recording import Recording
 

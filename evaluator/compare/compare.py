@@ -6,18 +6,21 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.check.protocol import Protocol
-from gpusimbench.evaluator.compare.distances import distances, has_positions, joint_distances
+from gpusimbench.evaluator.compare.counted import compare_mechanics, compare_validity
 from gpusimbench.evaluator.compare.episodes import compare_episodes
 from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, Question, Settings
-from gpusimbench.evaluator.compare.matching import Pair, check_across, match
-from gpusimbench.evaluator.compare.mechanics import compare_mechanics
-from gpusimbench.evaluator.compare.numbers import compare_numbers, compared_by
-from gpusimbench.evaluator.compare.outcome import JOINT_OUTCOMES, compare_outcomes, compare_spread
+from gpusimbench.evaluator.compare.matching import Pair, check_across, match, pooled, seed_by_seed, seeds_said
+from gpusimbench.evaluator.compare.numbers import Schedule, compare_numbers, compared_by, schedule
+from gpusimbench.evaluator.compare.outcome import (
+    JOINT_OUTCOMES,
+    compare_outcomes,
+    compare_spread,
+    distances,
+    has_positions,
+    joint_distances,
+)
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_arrays, compare_bits, compare_determinism
-from gpusimbench.evaluator.compare.schedule import Schedule, schedule
-from gpusimbench.evaluator.compare.seeds import pooled, seed_by_seed, seeds_said
 from gpusimbench.evaluator.compare.sides import Side
-from gpusimbench.evaluator.compare.validity import compare_validity
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.report import timed
@@ -27,9 +30,9 @@ from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.timed_work import TimedWork, timed_work
-from gpusimbench.evaluator.runs.cotenancy import notes as cotenant_notes
-from gpusimbench.evaluator.runs.cotenancy import with_peers
 from gpusimbench.evaluator.runs.groups import group, status_notes
+from gpusimbench.evaluator.runs.memory import notes as cotenant_notes
+from gpusimbench.evaluator.runs.memory import with_peers
 from gpusimbench.evaluator.statistics.families import able_to_reject, holm
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import ExitCode

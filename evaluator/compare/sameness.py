@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.evaluator.compare.finding import Change, Finding, judged, not_compared
-from gpusimbench.evaluator.missing import known
+from gpusimbench.evaluator.missing import every, known
 from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.claims import every
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, comparable, identical
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate
-from gpusimbench.evaluator.runs.array_history import ArrayHistory
-from gpusimbench.evaluator.runs.state_hashes import Histories
+from gpusimbench.evaluator.runs.state_hashes import ArrayHistory, Histories
 from gpusimbench.schemas.text import plural
 
 _ENVS, _RUNS = "bits of environments", "bits of runs"

@@ -11,7 +11,7 @@ from contextlib import ExitStack, redirect_stdout
 from pathlib import Path
 from typing import Any, TypeVar
 
-from gpusimbench.evaluator.compute.cache.store import code_version
+from gpusimbench.evaluator.compute.cache import code_version
 from gpusimbench.schemas.commands.output import OfMainThread, unheard
 from gpusimbench.schemas.errors import GsbError, UsageError
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, TypeVar, get_type_hints
 
-from gpusimbench.evaluator.compute.cache.store import Store
+from gpusimbench.evaluator.compute.cache import Store
 from gpusimbench.evaluator.compute.mapping import Mapper, serial
 
 _Item = TypeVar("_Item")

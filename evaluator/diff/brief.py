@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gpusimbench.evaluator.diff import program_words, words
+from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Contacts, Difference, Divergence, Growth, Side
 from gpusimbench.evaluator.diff.verdict import both_of, equal_before, pair_of, step_of
 from gpusimbench.evaluator.missing import Missing
@@ -19,7 +19,7 @@ def brief(found: Difference, *, every: bool) -> Facts:
     """Both sides, what was compared and the first difference; and in short, unless it follows at length, the rest."""
     pairs: Pairs = [("a", _side(found.a)), ("b", _side(found.b)), ("compared", _compared(found))]
     if found.program:
-        pairs += program_words.pairs(found.program)
+        pairs += words.pairs(found.program)
     if found.first:
         pairs += _first(found, found.first)
         if every:

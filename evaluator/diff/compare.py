@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from gpusimbench.evaluator.diff import remarks
-from gpusimbench.evaluator.diff.common import common_fields, step_ratio
+from gpusimbench.evaluator.diff.common import Selection, common_fields, one, step_ratio
 from gpusimbench.evaluator.diff.first import first_divergence
-from gpusimbench.evaluator.diff.hashes import common_hashes, timed_hashes
 from gpusimbench.evaluator.diff.numbers import pairing
-from gpusimbench.evaluator.diff.order import BodyOrder
 from gpusimbench.evaluator.diff.program import compare_program
 from gpusimbench.evaluator.diff.result import Basis, Compared, Difference
-from gpusimbench.evaluator.diff.selection import Selection, one
 from gpusimbench.evaluator.diff.settings import differing_settings, is_other_package
-from gpusimbench.evaluator.diff.splits import Agreement, step_range
-from gpusimbench.evaluator.diff.states import CommonStates
+from gpusimbench.evaluator.diff.splits import Agreement, common_hashes, step_range, timed_hashes
+from gpusimbench.evaluator.diff.states import BodyOrder, CommonStates
 from gpusimbench.evaluator.diff.walk import walk_hashes, walk_states
 from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.read.recording import Recording

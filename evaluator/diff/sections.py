@@ -1,13 +1,15 @@
-"""What gsb-diff says: the verdict and the first difference; then fields, distances, classes and settings at length."""
+"""What gsb-diff says: the verdict, the first difference, fields, distances, classes and settings; and all as JSON."""
 
 from __future__ import annotations
 
 import math
 
-from gpusimbench.evaluator.diff import program_words, words
+from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff.arrays import ArrayDivergence, ArraysDifference
 from gpusimbench.evaluator.diff.brief import Labels, brief, classes_of, reached
 from gpusimbench.evaluator.diff.result import Basis, Difference, FieldDifference, Growth
-from gpusimbench.evaluator.diff.verdict import verdict_of
+from gpusimbench.evaluator.diff.verdict import apart, both_of, place_of, verdict_of
+from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
     Block,
@@ -34,13 +36,15 @@ _BASIS = {
     Basis.LOCAL: "beyond the resolution at their origins",
 }
 
+_FIELDS = 8
+
 
 def diff_document(found: Difference, *, every: bool = False) -> Document:
     """The verdict and what it rests on; with `every`, all that is known."""
     blocks: list[Block] = [verdict_of(found), brief(found, every=every), *_remarks(found, every)]
     sections: list[Section | None] = [_fields(found), _distances(found.growth), _equal(found)] if found.first else []
     if found.program is not None:
-        sections.append(program_words.section(found.program, found.a.dt))
+        sections.append(words.section(found.program, found.a.dt))
     sections.append(_settings(found))
     at_length = [section for section in sections if section is not None]
     if every:
@@ -214,3 +218,53 @@ def _settings(found: Difference) -> Section | None:
         ],
     )
     return Section("settings", "settings", (made,), f"{len(found.settings):,} that differ")
+
+
+def arrays_document(found: ArraysDifference, names: tuple[str, str]) -> Document:
+    """The verdict and what it rests on.
+
+    names  of the two sides
+    """
+    who = f"{names[0]} and {names[1]}"
+    if found.identical:
+        return Document("", (Text(f"{who} are bit-identical.", Tone.GOOD),))
+    blocks: list[Block] = []
+    if found.first:
+        blocks += [Text(f"{who} differ first at {_where(found.first)}.", Tone.BAD), _facts(found.first)]
+    elif found.compared:
+        blocks.append(Text(f"{who} are not alike, although what could be compared is bit-identical.", Tone.BAD))
+    else:
+        blocks.append(Text(f"{who} are not alike, and nothing of them can be compared.", Tone.BAD))
+    if found.unlike:
+        blocks.append(items(*(f"  not compared: {text}" for text in found.unlike), tone=Tone.WARNING))
+    return Document("", tuple(blocks))
+
+
+def _where(first: ArrayDivergence) -> str:
+    env = f", in env {first.env}" if first.n_env > 1 else ""
+    return f"step {first.step}{env}: {place_of(first.number)}: {apart(first.number)}"
+
+
+def _facts(first: ArrayDivergence) -> Block:
+    step = f"step {first.step}"
+    if first.after_step is not None:
+        step += f"; equal up to step {first.after_step}"
+    if first.n_env > 1:
+        step += f"; {first.envs:,} of {plural(first.n_env, 'env', spec=',')} differ at that step, first env {first.env}"
+    return facts(
+        ("first at", step),
+        ("fields", words.names(first.fields, _FIELDS)),
+        ("first number", both_of(first.number)),
+    )
+
+
+def dump_json(found: Difference) -> str:
+    """The document that ``gsb-diff --json`` prints: the result's own names, the verdict, and whether it is over all."""
+    document = {
+        "schema_version": 1,
+        "verdict": found.verdict.value,
+        "all_compared": not (found.compared.left_out or found.lost),
+        "lost": list(found.lost),
+        **values_of(found),
+    }
+    return dump(document)

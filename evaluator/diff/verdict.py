@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gpusimbench.evaluator.diff import program_words, words
+from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.program_parts import is_action
 from gpusimbench.evaluator.diff.result import Difference, Divergence, Number, Verdict
 from gpusimbench.evaluator.diff.words import WITHOUT_UNIT
@@ -26,7 +26,7 @@ def verdict_of(found: Difference, who: str = "") -> Text:
         far = " as far as compared" if part else ""
         return Text(f"{who} are equal within the resolution{far}; their bits cannot be compared.", Tone.WARNING)
     if found.program is not None and found.program.first is not None:
-        return Text(program_words.sentence(found.program, found.program.first, who, found.a.dt), Tone.BAD)
+        return Text(words.sentence(found.program, found.program.first, who, found.a.dt), Tone.BAD)
     assert found.first is not None
     since = _since(found, found.first)
     if found.same_up_to_env_order:

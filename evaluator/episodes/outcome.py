@@ -1,7 +1,8 @@
-"""What episodes of one policy come to: success and return with intervals, and what stopping early would have said."""
+"""What episodes of one policy come to: success, return and its profiles, and what stopping early would have said."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.episodes.side import Choice, Episodes
 from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.read.episode_table import EpisodeTable
+from gpusimbench.evaluator.read.episodes import EpisodeTable
 from gpusimbench.evaluator.statistics.cases import (
     FEWEST,
     interval_over_cases,
@@ -27,6 +28,8 @@ POWER = 0.8
 SUCCESS, RETURN = "success", "return"
 _FEW = Missing(f"fewer than {FEWEST} environments")
 _ALIKE = Missing("all environments have the same mean")
+
+_THRESHOLDS = 51
 
 
 @dataclass(frozen=True)
@@ -256,3 +259,42 @@ def _finish_order(
         ci95=ci95,
         biased=not isinstance(ci95, Missing) and not ci95[0] <= 0 <= ci95[1],
     )
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Of one policy (Agarwal et al. 2021, "score distributions"), a number for each threshold.
+
+    share      of episodes with a larger return
+    low, high  95 % interval at each threshold, by resampling environments; None for fewer than 8 environments
+    """
+
+    share: tuple[float, ...]
+    low: tuple[float, ...] | None
+    high: tuple[float, ...] | None
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """Of policies, at the same thresholds.
+
+    thresholds  from the smallest return to the largest [unit of the reward]
+    """
+
+    thresholds: tuple[float, ...]
+    policies: tuple[Profile, ...]
+
+
+def profiles(sides: Sequence[Episodes]) -> Profiles:
+    """The profiles of policies, in their order."""
+    returns = np.concatenate([side.returns.ravel() for side in sides])
+    thresholds = np.linspace(returns.min(), returns.max(), _THRESHOLDS)
+    return Profiles(tuple(thresholds.tolist()), tuple(_profile(side, thresholds) for side in sides))
+
+
+def _profile(side: Episodes, thresholds: NDArray[np.float64]) -> Profile:
+    by_env = side.by_cluster((side.returns[:, :, None] > thresholds).mean(axis=1))  # [cluster, threshold]
+    bands = [mean_interval(column) for column in by_env.T]
+    known = [band for band in bands if band is not None]
+    low, high = (tuple(band[end] for band in known) or None for end in (0, 1))
+    return Profile(tuple(by_env.mean(axis=0).tolist()), low, high)

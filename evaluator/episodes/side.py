@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.episodes.clusters import Starts, clusters_of
 from gpusimbench.evaluator.episodes.success import At, successes
-from gpusimbench.evaluator.read.episode_table import (
+from gpusimbench.evaluator.read.episodes import (
     EpisodeTable,
     episode_table,
     first_observations,

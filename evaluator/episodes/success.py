@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.read.episode_table import EpisodeTable
+from gpusimbench.evaluator.read.episodes import EpisodeTable
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import NothingComparable, UsageError
 from gpusimbench.schemas.fields import ENV

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gpusimbench.evaluator.compute.recorder import COMMAND, about, as_path, record
-from gpusimbench.evaluator.fit.document import dump_csv
-from gpusimbench.evaluator.fit.judged import Fit, compared
-from gpusimbench.evaluator.fit.parameters import Parameters, parameters
-from gpusimbench.evaluator.fit.search import Evaluation, best_of, search
+from gpusimbench.evaluator.fit.document import Fit, compared, dump_csv
+from gpusimbench.evaluator.fit.search import Evaluation, Parameters, best_of, parameters, search
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses, errors_of, measured_tosses

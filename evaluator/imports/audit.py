@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.imports.landing import Landings, landings
+import numpy as np
+
 from gpusimbench.evaluator.imports.motion import Items, Poses, Responses, poses, responses
 from gpusimbench.evaluator.imports.parameters import Compared, Finding, compare
 from gpusimbench.evaluator.missing import Missing
@@ -15,8 +16,58 @@ from gpusimbench.schemas.imported import DROP, IMPORTED, TRIALS, Drop, Imported,
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import engine_name
 
+WINDOW_S = 0.1
+"""Over which the force is averaged, at the end of the drop [s]."""
+
 REFERENCE = "mujoco"
 """The simulator whose compiled model is the reference."""
+
+
+@dataclass(frozen=True)
+class Landing:
+    """What came of a drop.
+
+    time     of the first recorded step at which a shape reaches into one that does not move [s]; Missing without any
+    height   of the centre of mass then [m]
+    carried  share of the weight that the ground carries, on average over the last WINDOW_S of the drop
+    """
+
+    time: float | Missing
+    height: float | Missing
+    carried: float | Missing
+
+
+@dataclass(frozen=True)
+class Landings:
+    """Of MuJoCo C and of an engine, from the same state, both without controls and for the same time.
+
+    duration  of the drop [s]
+    """
+
+    duration: float
+    reference: Landing
+    engine: Landing
+
+
+def landings(reference: Drop, engine: Drop) -> Landings | Missing:
+    """Both landings; Missing where the drops have other times."""
+    if len(reference.time) != len(engine.time) or not np.allclose(reference.time, engine.time):
+        return Missing("the drops have other time steps")
+    return Landings(float(reference.time[-1]), _landing(reference), _landing(engine))
+
+
+def _landing(drop: Drop) -> Landing:
+    # the momentum changes by what carries the model, less its weight
+    last = len(drop.time) - 1
+    first = int(np.searchsorted(drop.time, drop.time[-1] - WINDOW_S - 1e-9))
+    gained = (drop.momentum[last] - drop.momentum[first]) / (drop.time[last] - drop.time[first])
+    share = float(1 + gained / drop.weight)
+    carried = share if np.isfinite(share) else Missing("states are not finite")
+    touching = np.flatnonzero(drop.contact)
+    if not touching.size:
+        none = Missing("nothing touches the ground")
+        return Landing(none, none, carried)
+    return Landing(float(drop.time[touching[0]]), float(drop.height[touching[0]]), carried)
 
 
 @dataclass(frozen=True)

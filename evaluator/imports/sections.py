@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gpusimbench.evaluator.imports.audit import Audit
-from gpusimbench.evaluator.imports.landing import Landing
+from gpusimbench.evaluator.imports.audit import Audit, Landing
 from gpusimbench.evaluator.imports.motion import MAX_DISTANCE, Poses, Response, Responses
 from gpusimbench.evaluator.imports.parameters import Compared, Finding, Verdict
 from gpusimbench.evaluator.json_values import dump, values_of

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gpusimbench.evaluator.compute.work import Work
-from gpusimbench.evaluator.inputs.known_files import read_all
-from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all
 from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.runs.outcome import joint_fields, positional

@@ -1,1 +1,1 @@
-"""The benchmark's metrics, one module each: pure functions on arrays, no reading of files."""
+"""The benchmark's metrics, a topic a module: pure functions on arrays, no reading of files."""

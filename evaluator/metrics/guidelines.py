@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar, require_unique_names
-from gpusimbench.evaluator.metrics.regime import is_present
+from gpusimbench.evaluator.statistics.regimes import is_present
 
 Results = Sequence[SimulatorResult]
 

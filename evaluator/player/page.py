@@ -1,25 +1,95 @@
-"""A whole page with a player and the facts of its recordings: one file that needs no network."""
+"""A whole page with a player: its elements, its facts in words, one file that needs no network."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 import jinja2
 from markupsafe import Markup
 
 from gpusimbench import schemas
-from gpusimbench.evaluator.player.clip import Clip
-from gpusimbench.evaluator.player.labels import labels_of
-from gpusimbench.evaluator.player.markup import markup, script, style
-from gpusimbench.evaluator.player.words import distinct, first_divergence
+from gpusimbench.evaluator.player.clip import Clip, labels_of
+from gpusimbench.evaluator.player.encode import RESOLUTION_M, RESOLUTION_QUATERNION, encode
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.figures import palette
-from gpusimbench.evaluator.render.scripts import allowed
-from gpusimbench.evaluator.render.templating import page_templates
-from gpusimbench.schemas.text import printable
+from gpusimbench.evaluator.render.templating import allowed, page_templates
+from gpusimbench.schemas.text import few, printable
 
 _HERE = Path(__file__).parent
+_MOST_SPLITS = 8
+
+
+def sentences(clip: Clip) -> list[str]:
+    """What the player shows, and what it does not."""
+    shown = "; ".join(track.label for track in clip.tracks)
+    return [f"Shown: {shown}.", _divergence(clip), *(f"{note[0].upper()}{note[1:]}." for note in clip.notes)]
+
+
+def distinct(clip: Clip) -> str:
+    """How many different environments there are in the end, so far as that is known."""
+    if clip.changes is None:
+        return f"not compared: {clip.not_compared}"
+    return f"{clip.changes.so_far[-1]} of {clip.n_member} {clip.whose}"
+
+
+def first_divergence(clip: Clip) -> str:
+    """The step and time at which the first of them part."""
+    if clip.changes is None:
+        return "not known: bits are not compared"
+    if clip.n_member < 2:
+        return "none: there is one environment"
+    first = clip.changes.first_divergence
+    if first is None:
+        return f"none up to step {clip.changes.last_compared}"
+    return f"step {first} ({first * clip.dt:g} s)"
+
+
+def _divergence(clip: Clip) -> str:
+    found = clip.changes
+    if found is None:
+        return f"Bits are not compared: {clip.not_compared}."
+    if clip.n_member < 2:
+        return "There is one environment; there is nothing to compare its bits with."
+    if found.first_divergence is None:
+        return f"All {clip.n_member} {clip.whose} are bit-identical up to step {found.last_compared}."
+    told = [
+        f"{count} from step {step}"
+        for step, count in zip(found.steps.tolist(), found.so_far.tolist(), strict=True)
+        if step in set(found.splits.tolist())
+    ]
+    return (
+        f"The {clip.n_member} {clip.whose} first differ at step {found.first_divergence} "
+        f"({found.first_divergence * clip.dt:g} s); distinct: {few(told, _MOST_SPLITS, ' splits')}."
+    )
+
+
+@cache
+def script() -> str:
+    """The script; it starts every player of the page, needs no network and is the same for all pages."""
+    parts = [
+        (_HERE / name).read_text(encoding="utf-8") for name in ("data.js", "drawing.js", "picture.js", "player.js")
+    ]
+    return "\n".join(["(() => {", '"use strict";', *parts, "})();"])
+
+
+@cache
+def style() -> str:
+    """The style; the page gives the colours: --page, --ink, --quiet, --rule, --panel, --link and --g0 to --g7."""
+    return (_HERE / "player.css").read_text(encoding="utf-8")
+
+
+def markup(clips: Sequence[Clip]) -> Markup:
+    """A player of these clips, one at a time; without scripts, what it would show in words."""
+    templates = page_templates(jinja2.FileSystemLoader(_HERE))
+    return Markup(
+        templates.get_template("player.html.j2").render(
+            clips=[(clip, distinct(clip), sentences(clip), Markup(encode(clip))) for clip in clips],
+            resolution_mm=f"{RESOLUTION_M * 1e3:.2g}",
+            resolution_quaternion=f"{RESOLUTION_QUATERNION:.0e}",
+        )
+    )
 
 
 def render_page(clip: Clip, recordings: Sequence[Recording], *, command: str) -> str:

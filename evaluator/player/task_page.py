@@ -8,10 +8,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.player.clip import MOST_SHOWN, check_shown
-from gpusimbench.evaluator.player.labels import labels_of
+from gpusimbench.evaluator.player.clip import MOST_SHOWN, check_shown, labels_of
 from gpusimbench.evaluator.player.poses import recorded_steps
-from gpusimbench.evaluator.read.episode_table import has_episodes, has_rewards
+from gpusimbench.evaluator.read.episodes import has_episodes, has_rewards
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Block, Code, Document, Figure, Section, Text
 from gpusimbench.evaluator.render.figures.curves import End, curves_chart

@@ -18,14 +18,95 @@ from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import Arms, arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding, first_of, same_slots, told, worst_of
-from gpusimbench.evaluator.probe.interventions import bystanders, fresh, poison, process, restored, set_states
 from gpusimbench.evaluator.probe.pairs import Found, Pairs, held
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.text import plural
-from gpusimbench.schemas.treatment import Initial
+from gpusimbench.schemas.treatment import Initial, Intervention
 
 _WHY = 60  # characters of why an arm is missing
+
+
+def poison(arms: Arms) -> Asked | Missing:
+    """Environments beside one that is not finite."""
+    return _left_alone(arms, "poison", "one that is not finite")
+
+
+def bystanders(arms: Arms) -> Asked | Missing:
+    """Environments that are left alone while others are reset."""
+    return _left_alone(arms, "reset", "others that are reset")
+
+
+def _left_alone(arms: Arms, kind: str, others: str) -> Asked | Missing:
+    beside = _beside(arms, kind)
+    if isinstance(beside, Missing):
+        return beside
+    base, recording, done = beside
+    envs = [env for env in range(arms.n_env) if not done.treated(env)]
+    if not envs:
+        return Missing("needs two environments")
+    return told(held(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside {others}")
+
+
+def fresh(arms: Arms) -> Asked | Missing:
+    """Environments that are reset with those of a run that has just begun."""
+    treated = _treated(arms, "reset")
+    if isinstance(treated, Missing):
+        return treated
+    if not arms.plain:
+        return Missing("needs a run whose environments begin as a reset leaves them")
+    recording, done = treated
+    envs = [env for env in range(arms.n_env) if done.treated(env)]
+    pairs = Pairs(recording, arms.plain[0], same_slots(envs), ahead=done.step, first=1)
+    return told(held(pairs), f"{len(envs)} environments after a reset at step {done.step}, and fresh ones")
+
+
+def restored(arms: Arms) -> Asked | Missing:
+    """All environments after an excursion from which they were restored."""
+    beside = _beside(arms, "excursion")
+    if isinstance(beside, Missing):
+        return beside
+    base, recording, done = beside
+    said = f"saved at step {done.step}, {done.more} further steps, restored"
+    return told(held(Pairs(base, recording, same_slots(range(arms.n_env)))), said)
+
+
+def process(arms: Arms) -> Asked | Missing:
+    """A run and one that continues its snapshot in a process of its own."""
+    if arms.continued is None:
+        failed = next((why for how, why in arms.failed.items() if " snapshot" in how), "")
+        needed = "needs a run with --snapshot STEP, and its --replay FILE --from STEP"
+        return Missing(f"its run is {failed}" if failed else needed)
+    base, later = arms.continued
+    step = later.configuration.first_step
+    pairs = Pairs(base, later, same_slots(range(base.configuration.n_env)))
+    return told(held(pairs), f"a snapshot of step {step}, restored in another process, and the run that saved it")
+
+
+def set_states(arms: Arms) -> Asked | Missing:
+    """All environments after they were given the positions and velocities that they had."""
+    beside = _beside(arms, "set")
+    if isinstance(beside, Missing):
+        return beside
+    base, recording, done = beside
+    found = held(Pairs(base, recording, same_slots(range(arms.n_env))))
+    return told(found, f"set at step {done.step} to the state that they had")
+
+
+def _treated(arms: Arms, kind: str) -> tuple[Recording, Intervention] | Missing:
+    found = arms.treated.get(kind)
+    if found is None:
+        why = next((why for how, why in arms.failed.items() if f" {kind}@" in how), "")
+        return Missing(f"its run is {why}" if why else f"needs a run with --intervene {kind}@STEP")
+    return found, Intervention.parse(found.configuration.intervention)
+
+
+def _beside(arms: Arms, kind: str) -> tuple[Recording, Recording, Intervention] | Missing:
+    """A run that was left alone, and one that was not."""
+    base, treated = first_of(arms.varied), _treated(arms, kind)
+    if isinstance(base, Missing):
+        return base
+    return treated if isinstance(treated, Missing) else (base, *treated)
 
 
 class Probed(NamedTuple):

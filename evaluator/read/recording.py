@@ -15,7 +15,7 @@ from gpusimbench.evaluator.read.actions import (
     described_generator,
     read_actions,
 )
-from gpusimbench.evaluator.read.described import Described
+from gpusimbench.evaluator.read.described import Described, Factors, factors_of
 from gpusimbench.evaluator.read.digests import digest_states
 from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
 from gpusimbench.evaluator.read.hardware import HardwareTrace, read_hardware
@@ -41,7 +41,6 @@ from gpusimbench.evaluator.read.streams import (
     read_memory,
     read_timing,
 )
-from gpusimbench.evaluator.read.varied import Factors, factors_of
 from gpusimbench.schemas import checks, topics
 from gpusimbench.schemas.commands.progress import moved
 from gpusimbench.schemas.digest import ContentDigest, content_hash

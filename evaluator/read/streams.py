@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.memory import allocator_peak
-from gpusimbench.evaluator.read.columns import Columns
-from gpusimbench.evaluator.read.messages import MAX_NOTES, Messages
+from gpusimbench.evaluator.read.messages import MAX_NOTES, Columns, Messages
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import decode_fingerprints
 from gpusimbench.schemas.checks import MAX_COUNT

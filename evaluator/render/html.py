@@ -37,7 +37,7 @@ from gpusimbench.evaluator.render.document import (
     walk,
 )
 from gpusimbench.evaluator.render.figures import palette, style
-from gpusimbench.evaluator.render.scripts import policy, script
+from gpusimbench.evaluator.render.templating import policy, script
 from gpusimbench.schemas.text import printable
 
 LARGEST_CSV = 256_000

@@ -5,13 +5,59 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import StrEnum
 
-from gpusimbench.evaluator.render import latex
 from gpusimbench.evaluator.render.csv import Cell as CsvCell
 from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.document import Cell, Document, Table
 from gpusimbench.evaluator.render.markdown import table_markdown
+from gpusimbench.schemas.text import printable
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
+    "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"\textless{}", ">": r"\textgreater{}",
+    "|": r"\textbar{}", '"': r"\textquotedblright{}", "`": r"\textasciigrave{}", "'": r"\textquotesingle{}",
+}  # fmt: skip
+
+_SIGNS = {
+    "±": r"$\pm$", "×": r"$\times$", "−": "$-$", "≤": r"$\le$", "≥": r"$\ge$", "µ": r"$\mu$", "°": r"$^\circ$",
+    "→": r"$\to$", "–": "--", "—": "---", "…": r"\dots{}", "“": "``", "”": "''", "‘": "`", "’": "'",
+    "\u2009": r"\,", "\u202f": r"\,", "\u00a0": "~",
+}  # fmt: skip
+
+_RAISED = dict(
+    zip("\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u207a\u207b", "0123456789+-", strict=True)
+)
+_LAST_LATIN = 0x17F  # what LaTeX knows without a package
+_NEEDS_T1 = frozenset("ÐðÞþĄąĐđĘęĮįŊŋŲų")  # errors with LaTeX's default fonts
+_UNKNOWN = frozenset("ĦħĸĿŀŉŦŧſ")  # errors with any
 
 _LONG, _LONG_FROM = "p{5cm}", 40
+
+
+def escape(text: str) -> str:
+    """Text in which nothing is a command; what pdfLaTeX has no letter for stands as its number."""
+    return "".join(map(_letter, printable(text)))
+
+
+def _letter(c: str) -> str:
+    if c in _SPECIAL:
+        return _SPECIAL[c]
+    if c in _SIGNS:
+        return _SIGNS[c]
+    if c in _RAISED:
+        return f"$^{{{_RAISED[c]}}}$"
+    if c.isspace():
+        return " "
+    known = c.isalpha() and ord(c) <= _LAST_LATIN and c not in _NEEDS_T1 | _UNKNOWN
+    return c if c.isascii() or known else f"[U+{ord(c):04X}]"
+
+
+def figure(file_name: str, caption: str) -> str:
+    """A floating figure of a file, with its caption and a label of the same name."""
+    return (
+        "\\begin{figure}\n  \\centering\n"
+        f"  \\includegraphics[width=\\linewidth]{{{file_name}}}\n"
+        f"  \\caption{{{escape(caption)}}}\n  \\label{{fig:{file_name}}}\n\\end{{figure}}\n"
+    )
 
 
 class Format(StrEnum):
@@ -53,7 +99,7 @@ def as_latex(table: Table) -> str:
     caption = ". ".join([table.caption, *table.legend])
     return (
         "% needs \\usepackage{booktabs}\n\\begin{table}\n  \\centering\n"
-        f"  \\caption{{{latex.escape(caption)}}}\n  \\label{{tab:{table.key}}}\n"
+        f"  \\caption{{{escape(caption)}}}\n  \\label{{tab:{table.key}}}\n"
         f"  \\begin{{tabular}}{{{columns}}}\n    \\toprule\n    {_latex([c.title for c in table.columns])}\n"
         f"    \\midrule\n{body}    \\bottomrule\n  \\end{{tabular}}\n\\end{{table}}\n"
     )
@@ -94,4 +140,4 @@ def _joined(said: Cell) -> str:
 
 def _latex(cells: Sequence[str]) -> str:
     # the group in front: a bracket or a star would belong to the end of the line before
-    return "{}" + " & ".join(map(latex.escape, cells)) + r" \\"
+    return "{}" + " & ".join(map(escape, cells)) + r" \\"

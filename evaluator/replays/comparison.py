@@ -12,8 +12,7 @@ import numpy as np
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.diff.settings import UNSET, differing_settings
 from gpusimbench.evaluator.episodes.success import At, successes
-from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes
-from gpusimbench.evaluator.read.episodes import Episode, episodes
+from gpusimbench.evaluator.read.episodes import Episode, episode_table, episodes, has_episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.replays.verdict import Judged, Verdict, judge
 from gpusimbench.evaluator.statistics.rates import wilson

@@ -9,8 +9,8 @@ from dataclasses import replace
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import name_of
 from gpusimbench.evaluator.probe.finding import verdict_of
-from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import EMPTY, NONE, Block, Cell, Document, Facts, Text, Tone, facts, table
+from gpusimbench.evaluator.render.numbers import estimate
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.leaders import Fastest, fastest, not_ranked
 from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sentence

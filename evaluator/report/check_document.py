@@ -1,8 +1,9 @@
-"""What gsb-check says: the verdict, then each broken rule once, with what it requires and what to do."""
+"""What gsb-check says: the verdict, then each broken rule once, with what it requires and what to do; also as JSON."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.check.rules.fact import FactType
@@ -10,7 +11,9 @@ from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
 from gpusimbench.evaluator.check.rules.findings import Checked, Finding, Report, Unchecked
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import Level, Rule, RuleSet, Scope
+from gpusimbench.evaluator.json_values import dump, picked, plain
 from gpusimbench.evaluator.render.document import Block, Document, Facts, Item, Items, Section, Text, Tone, facts, items
+from gpusimbench.schemas import __version__
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.text import plural
 
@@ -25,6 +28,8 @@ _COMPLETE = "complete"
 _DAMAGES = {"recording": ("cannot be read", "cannot be read"), "no-dropouts": ("has lost data", "have lost data")}
 _DAMAGED = ("is damaged", "are damaged")
 """What a file is that breaks a rule on damage, by the rule's id; of one file and of several."""
+
+SCHEMA_VERSION = 1
 
 
 def check_document(report: Report, *, every: bool = False) -> Document:
@@ -246,3 +251,51 @@ def _joined(text: str) -> str:
 
 def _scope(scope: Scope) -> str:
     return {Scope.file: "each file", Scope.point: "the runs of a point", Scope.set: "all files"}[scope]
+
+
+def dump_check(report: Report) -> str:
+    """A JSON document: files, findings, what could not be checked, the exit code."""
+    return _dump({
+        "rule_sets": list(report.rule_sets),
+        "exit_code": int(report.exit_code),
+        "files": [
+            {"path": str(f.path), **picked(f, "what status reason"), "rules_held": f.held} for f in report.files
+        ],
+        "findings": [
+            {
+                "rule": finding.rule.id,
+                "level": finding.rule.level.name,
+                "damage": finding.rule.damage,
+                "files": [str(path) for path in finding.files],
+                **picked(finding, "of found"),
+                **picked(finding.rule, "requires do"),
+            }
+            for finding in report.findings
+        ],
+        "unchecked": [{"rule": u.rule.id, "file": str(u.file), "reason": u.reason} for u in report.unchecked],
+    })  # fmt: skip
+
+
+def dump_rules(rule_sets: Sequence[RuleSet]) -> str:
+    """A JSON document of rules."""
+    return _dump({
+        "rule_sets": [
+            {"name": s.name, "title": s.title, "rules": [_rule(rule) for rule in s.rules]} for s in rule_sets
+        ]
+    })  # fmt: skip
+
+
+def _rule(rule: Rule) -> dict[str, Any]:
+    return {
+        "id": rule.id,
+        "level": rule.level.name,
+        "of": rule.of.name,
+        "fact": rule.fact,
+        "must": {rule.predicate: plain(rule.argument)},
+        **picked(rule, "when scenes damage requires why do"),
+    }
+
+
+def _dump(record: dict[str, Any]) -> str:
+    document = {"schema_version": SCHEMA_VERSION, "gpusimbench": __version__, **record}
+    return dump(document)

@@ -14,9 +14,9 @@ from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Facts, Table, Text, Tone, table
-from gpusimbench.evaluator.report.failures import counted, failing_table
+from gpusimbench.evaluator.report.sections.failing import counted, failing_table
 from gpusimbench.evaluator.results.timed_work import SHORT_S
-from gpusimbench.evaluator.runs.cotenancy import described
+from gpusimbench.evaluator.runs.memory import described
 from gpusimbench.schemas import __version__
 from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
 from gpusimbench.schemas.errors import GsbError

@@ -7,7 +7,7 @@ from typing import Any
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.json_values import dump, picked, values_of
-from gpusimbench.evaluator.metrics.memory_model import MemoryModel
+from gpusimbench.evaluator.metrics.memory import MemoryModel
 from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.probe.json import probe_record
 from gpusimbench.evaluator.report.evidence_json import (
@@ -17,7 +17,7 @@ from gpusimbench.evaluator.report.evidence_json import (
     family_record,
     faults_record,
 )
-from gpusimbench.evaluator.report.fidelity import fidelity_record
+from gpusimbench.evaluator.report.sections.mechanics import fidelity_record
 from gpusimbench.evaluator.report.timed import timed_record
 from gpusimbench.evaluator.results.canonical import Law, Unmeasured
 from gpusimbench.evaluator.results.convergence import Convergence

@@ -13,8 +13,7 @@ from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput, r
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import most_common, window_key
-from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION
-from gpusimbench.evaluator.results.toss_ranking import Ranked, configuration, ranked
+from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, Ranked, configuration, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
 
 _UNKNOWN = "no run of this configuration has errors against tosses"

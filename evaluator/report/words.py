@@ -7,7 +7,7 @@ from statistics import median
 
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.metrics.levels import Level
-from gpusimbench.evaluator.metrics.memory_model import MemoryModel
+from gpusimbench.evaluator.metrics.memory import MemoryModel
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd

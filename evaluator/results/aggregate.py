@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.metrics.startup import typical_time
+from gpusimbench.evaluator.metrics.throughput import typical_time
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.jackknife import Interval, jackknife_mean
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues, PhysicsFacts
 from gpusimbench.evaluator.statistics.cases import standard_error, variation
-from gpusimbench.evaluator.statistics.counts import FEWEST, uniformity
+from gpusimbench.evaluator.statistics.families import FEWEST, uniformity
 
 Array = npt.NDArray[np.float64]
 

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gpusimbench.evaluator.metrics.capture import overhead
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
-from gpusimbench.evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.metrics.throughput import frames_per_second, overhead
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.results.aggregate import MEDIAN, Runs
 from gpusimbench.evaluator.results.details import (
@@ -24,7 +23,7 @@ from gpusimbench.evaluator.results.details import (
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, each, missing, over_runs
-from gpusimbench.evaluator.results.speeds import Speeds, speeds_of
+from gpusimbench.evaluator.results.timed_work import Speeds, speeds_of
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.text import plural
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.json_values import picked
 from gpusimbench.evaluator.metrics.cotenants import Presence, Sign
+from gpusimbench.evaluator.metrics.identity import SplitTree
 from gpusimbench.evaluator.metrics.levels import Worst
 from gpusimbench.evaluator.metrics.memory import Checkpoints
-from gpusimbench.evaluator.metrics.split_tree import SplitTree
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.results.speeds import Speeds
+from gpusimbench.evaluator.results.timed_work import Speeds
 from gpusimbench.evaluator.statistics.floor import Floor
 from gpusimbench.evaluator.statistics.regimes import RegimeProbabilities
 

@@ -20,7 +20,6 @@ from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.questions import Probed, answers
 from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.results.accumulation import accumulations
 from gpusimbench.evaluator.results.canonical import laws
 from gpusimbench.evaluator.results.convergence import convergences
 from gpusimbench.evaluator.results.density_maps import reference_density, shared_map, with_cloud
@@ -28,17 +27,16 @@ from gpusimbench.evaluator.results.details import SunkCubes, Throughput
 from gpusimbench.evaluator.results.determinism_cost import price_list
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import fidelity
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns, ends_early, left_out
 from gpusimbench.evaluator.results.identity_metrics import identical_steps
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import compare
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map, RunSpread
-from gpusimbench.evaluator.results.sampled import ends_early, left_out
-from gpusimbench.evaluator.results.sweeps import find_sweeps
+from gpusimbench.evaluator.results.sweeps import accumulations, find_sweeps
 from gpusimbench.evaluator.results.timed_work import timed_work
 from gpusimbench.evaluator.results.validity import validity_of
-from gpusimbench.evaluator.runs import cotenancy
+from gpusimbench.evaluator.runs import memory
 from gpusimbench.evaluator.runs.groups import Group, group, status_notes
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
 from gpusimbench.evaluator.runs.run import Run
@@ -108,7 +106,7 @@ def evaluate(
     files = list(files)
     failures = [f for f in files if isinstance(f, Unreadable)]
     distinct, notes = without_copies([f for f in files if isinstance(f, Run)], failures)
-    distinct = cotenancy.with_peers(distinct)
+    distinct = memory.with_peers(distinct)
 
     measured = [r for r in distinct if r.configuration.simulator == REAL]
     groups = [g for g in group(distinct) if not g.measured]
@@ -327,7 +325,7 @@ def _notes(group: Group[Run], runs: Sequence[Run], reference: Reference | Missin
         notes.append(f"positions are those at {sampled:g} s, the step nearest to {sample_time:g} s")
     if isinstance(reference, Reference) and reference.run_id in {r.provenance.run_id for r in runs}:
         notes.append("the reference is one of this group's own runs, whose distance of zero is part of the mean")
-    return [*notes, *cotenancy.notes(runs)]
+    return [*notes, *memory.notes(runs)]
 
 
 def _warnings(result: GroupResult) -> list[str]:

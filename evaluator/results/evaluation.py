@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 from gpusimbench.evaluator.check.protocol import Unmet
 from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.probe.questions import Probed
-from gpusimbench.evaluator.results.accumulation import Accumulation
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.determinism_cost import Family
 from gpusimbench.evaluator.results.ranking import Comparison
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map
-from gpusimbench.evaluator.results.sweeps import Sweep
+from gpusimbench.evaluator.results.sweeps import Accumulation, Sweep
 from gpusimbench.schemas.fields import ENV
 
 SCHEMA_VERSION = 1

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.metrics.alignment import GapTo
 from gpusimbench.evaluator.metrics.lost_cubes import left_board
 from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
-from gpusimbench.evaluator.metrics.regime import PRESENT_FROM_CM, published_regime
 from gpusimbench.evaluator.metrics.variability import (
     CM_PER_M,
     MATRIX_ENVS,
@@ -32,12 +31,17 @@ from gpusimbench.evaluator.results.details import (
     SunkCubes,
     ToReference,
 )
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns, no_positions
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, missing, over_runs
-from gpusimbench.evaluator.results.sampled import no_positions
 from gpusimbench.evaluator.statistics.floor import floor
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
-from gpusimbench.evaluator.statistics.regimes import MIN_RUNS, RegimeProbabilities, regime_probabilities
+from gpusimbench.evaluator.statistics.regimes import (
+    MIN_RUNS,
+    PRESENT_FROM_CM,
+    RegimeProbabilities,
+    published_regime,
+    regime_probabilities,
+)
 
 _SEED = 0
 

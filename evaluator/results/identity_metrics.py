@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, MIN_R_SQUARED
-from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time
+from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time, split_tree
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
-from gpusimbench.evaluator.metrics.split_tree import split_tree
-from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.missing import Claim, Missing, why_missing
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
-from gpusimbench.evaluator.results.claims import Claim
 from gpusimbench.evaluator.results.details import (
     AngleCurve,
     Changed,
@@ -26,9 +24,8 @@ from gpusimbench.evaluator.results.details import (
     OverTime,
     SpreadCurve,
 )
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns, no_positions
 from gpusimbench.evaluator.results.metric import Direction, Estimate, Metric, Table, each, missing
-from gpusimbench.evaluator.results.sampled import no_positions
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.state_hashes import Histories, side_by_side
 

@@ -22,10 +22,9 @@ from gpusimbench.evaluator.metrics.variability import CM_PER_M
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, differ, ends_of
 from gpusimbench.evaluator.results.details import JointsBetweenEnvs, JointsBetweenRuns
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns, named
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, missing, over_runs
-from gpusimbench.evaluator.results.sampled import named
-from gpusimbench.evaluator.runs.joints import Joints
+from gpusimbench.evaluator.runs.positions import Joints
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
 

@@ -1,4 +1,4 @@
-"""Sweeps: groups that differ in the number of environments alone, how far each goes, and what its memory costs."""
+"""Sweeps: groups that differ in the number of environments alone: how far they go, memory, and how noise grows."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from gpusimbench.evaluator.metrics.memory_model import MIN_POINTS, MemoryModel, fit_memory
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.compute.mapping import Mapper
+from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.metrics.memory import MIN_POINTS, MemoryModel, fit_memory
+from gpusimbench.evaluator.metrics.variability import CM_PER_M
 from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.results.cost_metrics import common_memory
 from gpusimbench.evaluator.results.metric import Estimate
@@ -15,6 +21,8 @@ from gpusimbench.evaluator.runs.groups import GroupKey, asked
 from gpusimbench.evaluator.runs.labels import Given, labels, options_given
 from gpusimbench.evaluator.runs.outcome import joint_fields
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.evaluator.statistics.matched import MatchedPoint, matched_variability
+from gpusimbench.evaluator.transport.pair import wasserstein1
 
 LONG = 3
 """From so many points on, a sweep is shown as one, and its points no more as groups of their own."""
@@ -26,6 +34,12 @@ SOURCES = {
     "host_memory_peak_increment": "host, resident set: peak minus baseline",
 }
 """Metrics that a memory model is fitted to, and what they are."""
+
+_DRAWS = 5
+_SEED = 0
+_MIN_ENVS = 4  # fewer say next to nothing, and all others would be reduced to them
+_MAX_POINTS = 500  # of a side that runs are reduced to: a distance takes 10 ms, and there are hundreds
+_MAX_RAW_POINTS = 1000  # of a side as it is
 
 
 class Failure(NamedTuple):
@@ -214,3 +228,54 @@ def _failure(recording: Run) -> Failure:
         return Failure("lost data", "", recording.dropouts[0])
     status = "INVALID" if recording.status == "invalid" else recording.status
     return Failure(status, recording.cause, recording.reason)
+
+
+@dataclass(frozen=True)
+class Accumulation:
+    """Variability against N_env of one sweep, in cm.
+
+    label  of the sweep
+    scene  its name
+    size   envs that every run was reduced to
+    draws  of those envs, at each N_env that is larger
+    seed   of the draws
+    points in order of N_env
+    """
+
+    label: str
+    scene: str
+    size: int
+    draws: int
+    seed: int
+    points: tuple[MatchedPoint, ...]
+
+
+def accumulations(
+    sweeps: Sequence[Sweep], planar: Mapping[str, NDArray[np.float64] | None], work: Work
+) -> tuple[Accumulation, ...]:
+    """Of the sweeps that have positions of several runs at two numbers of envs or more, not counting those below 4.
+
+    planar  positions at the sample step [m] by label of the group, shape [run, env, item, 2]
+    """
+    found = []
+    for sweep in sweeps:
+        found_at = {p.n_env: planar.get(p.result.label) for p in sweep.points if p.n_env >= _MIN_ENVS}
+        at = {n_env: runs for n_env, runs in found_at.items() if runs is not None and len(runs) > 1}
+        if len(at) < 2:
+            continue
+        items = next(iter(at.values())).shape[2]
+        size = max(1, min(*at, _MAX_POINTS // items))
+        points = work.once(_matched, [[n, runs * CM_PER_M] for n, runs in sorted(at.items())], size)
+        found.append(Accumulation(sweep.label, sweep.key.scene, size, _DRAWS, _SEED, tuple(points)))
+    return tuple(found)
+
+
+def _matched(runs: list[tuple[int, NDArray[np.float64]]], size: int, _: Mapper) -> list[MatchedPoint]:
+    by_number = dict(runs)
+    return list(
+        matched_variability(by_number, _distance, n_draw=_DRAWS, seed=_SEED, size=size, max_points=_MAX_RAW_POINTS)
+    )
+
+
+def _distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return wasserstein1(a, b, alike=True).value

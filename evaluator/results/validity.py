@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusimbench.evaluator.results.claims import Claim, every
+from gpusimbench.evaluator.missing import Claim, every
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.run import BitSummary, Run
 from gpusimbench.schemas.provenance import Buffer, OverflowBit

@@ -14,13 +14,11 @@ from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.read.step_evidence import ActionStream
-from gpusimbench.evaluator.runs.array_history import ArrayHistory
-from gpusimbench.evaluator.runs.joints import JointSample
+from gpusimbench.evaluator.runs.physics.depth import Sunk
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
-from gpusimbench.evaluator.runs.positions import Positions
+from gpusimbench.evaluator.runs.positions import JointSample, Positions
 from gpusimbench.evaluator.runs.spread import Spread
-from gpusimbench.evaluator.runs.state_hashes import Histories
-from gpusimbench.evaluator.runs.sunk_cubes import Sunk
+from gpusimbench.evaluator.runs.state_hashes import ArrayHistory, Histories
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import Provenance, Simulation
 from gpusimbench.schemas.trial_units import UnitDoubt

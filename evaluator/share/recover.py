@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from gpusimbench.evaluator.read.confirmed import unconfirmed
 from gpusimbench.evaluator.read.copying import Copier, records_of
+from gpusimbench.evaluator.read.described import unconfirmed
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas import topics

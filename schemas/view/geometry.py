@@ -12,8 +12,7 @@ import numpy as np
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.view.coordinates import Coordinate
-from gpusimbench.schemas.view.kinematics import ROBOT, Joint, Key, Link, Vector
-from gpusimbench.schemas.view.rotation import product, rotate
+from gpusimbench.schemas.view.kinematics import ROBOT, Joint, Key, Link, Vector, product, rotate
 from gpusimbench.schemas.view.shapes import IDENTITY, MAX_LINKS, Mesh, Solid, links_of, shape_of, solids_of
 
 GEOMETRY = "geometry.json"

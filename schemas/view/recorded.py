@@ -5,7 +5,8 @@ Whoever writes a recording makes them, and whoever checks one makes them again. 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,10 +17,18 @@ from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.messages import message_class
-from gpusimbench.schemas.view.env_view import ROOT, EnvView
+from gpusimbench.schemas.text import printable
+from gpusimbench.schemas.view import foxglove
 from gpusimbench.schemas.view.geometry import Look
-from gpusimbench.schemas.view.layout import layout
-from gpusimbench.schemas.view.motion import Motion, one_of
+from gpusimbench.schemas.view.kinematics import ROBOT, Vector
+from gpusimbench.schemas.view.motion import Frame, Motion, one_of
+from gpusimbench.schemas.view.shapes import IDENTITY, Solid
+
+ROOT = "world"
+
+_FIXED: tuple[foxglove.Colour, ...] = ((0.55, 0.55, 0.58),)
+_BODY: tuple[foxglove.Colour, ...] = ((0.84, 0.65, 0.38), (0.70, 0.50, 0.27))  # neighbours differ
+_LINK: tuple[foxglove.Colour, ...] = ((0.92, 0.92, 0.92), (0.75, 0.77, 0.80))
 
 RATE = 30.0
 """Most poses a second of simulated time [Hz]."""
@@ -29,6 +38,91 @@ METADATA = "gsb-view"
 
 LOG_TOPIC = topics.view("log", 0)
 LOG_TYPE = "foxglove.Log"
+
+NAME = "foxglove-layout.json"
+
+
+class EnvView:
+    """An environment, drawn in a frame of its own.
+
+    number  of the environment
+    place   where it stands in the root frame [m]
+    motion  of what moves in it
+    solids  that are drawn
+    """
+
+    def __init__(self, number: int, place: Vector, motion: Motion, solids: Sequence[Solid]) -> None:
+        self.number = number
+        self.place = place
+        self.motion = motion
+        self.solids = tuple(solids)
+        # links have no poses of their own, since they are relative to each other
+        self.groups = tuple(dict.fromkeys(part.group for part in motion.parts if part.group != ROBOT))
+        frames = [f"{self.name}/{name}" for name in _distinct(part.name for part in motion.parts)]
+        self._frames = {(p.group, p.name): frame for p, frame in zip(motion.parts, frames, strict=True)}
+        self._by_name = {p.name: frame for p, frame in zip(motion.parts, frames, strict=True)}
+        parents = [self.name if part.parent is None else frames[part.parent] for part in motion.parts]
+        self._names = list(zip(parents, frames, strict=True))
+
+    @property
+    def name(self) -> str:
+        """Of its frame, and the begin of others."""
+        return f"env{self.number}"
+
+    def entities(self) -> list[Any]:
+        """What things look like, as SceneEntity; who moves takes its shapes along."""
+        made = []
+        names = _distinct(solid.name for solid in self.solids)  # of two entities of one name, viewers draw the second
+        for index, (solid, name) in enumerate(zip(self.solids, names, strict=True)):
+            frame = self._frame_of(solid)
+            if not solid.shapes or frame is None:
+                continue
+            tones = _FIXED if not solid.group else _LINK if solid.group == ROBOT else _BODY
+            colour = tones[index % len(tones)]
+            made.append(foxglove.entity(EPOCH_NS, frame, f"{self.name}/{name}", solid.shapes, colour))
+        return made
+
+    def _frame_of(self, solid: Solid) -> str | None:
+        # a program that logs its states may call a group otherwise than its scene does
+        if not solid.group:
+            return self.name
+        return self._frames.get((solid.group, solid.name), self._by_name.get(solid.name))
+
+    def transforms(self, frames: Sequence[Frame], row: int, time_ns: int) -> list[Any]:
+        """Where its frame and those of everything that moves in it are at a time [ns], as FrameTransform."""
+        return [
+            foxglove.transform(time_ns, ROOT, self.name, self.place, IDENTITY),
+            *(
+                foxglove.transform(time_ns, *names, frame.position[row].tolist(), frame.orientation[row].tolist())
+                for names, frame in zip(self._names, frames, strict=True)
+            ),
+        ]
+
+    def poses(self, frames: Sequence[Frame], row: int, time_ns: int) -> dict[str, Any]:
+        """Poses of the bodies of each group in the environment's frame, as PosesInFrame."""
+        return {
+            group: foxglove.poses(
+                time_ns,
+                self.name,
+                (
+                    foxglove.pose(frame.position[row].tolist(), frame.orientation[row].tolist())
+                    for frame in frames
+                    if frame.part.group == group
+                ),
+            )
+            for group in self.groups
+        }
+
+
+def _distinct(names: Iterable[str]) -> Iterator[str]:
+    """Names for viewers, none empty and none twice: who would have another's gets a number."""
+    taken = set()
+    for number, name in enumerate(names):
+        shown = printable(name)
+        while not shown or shown in taken:
+            shown += f"#{number}"
+        taken.add(shown)
+        yield shown
 
 
 class ViewMessage(NamedTuple):
@@ -108,3 +202,37 @@ def layout_of(views: Sequence[RecordedView]) -> str:
     return layout(
         scenes=by_type["foxglove.SceneUpdate"], log=LOG_TOPIC, poses=by_type.get("foxglove.PosesInFrame", ()), root=ROOT
     )
+
+
+def layout(*, scenes: Sequence[str], log: str, poses: Sequence[str], root: str) -> str:
+    """The layout as JSON.
+
+    scenes, log, poses  topics; poses are there, and hidden
+    root                the frame that the camera stays with
+    """
+    topics = {**dict.fromkeys(scenes, {"visible": True}), **dict.fromkeys(poses, {"visible": False})}
+    camera = {
+        "perspective": True, "distance": 1.5, "phi": 60, "thetaOffset": 45, "targetOffset": [0.0, 0.0, 0.0],
+        "target": [0, 0, 0], "targetOrientation": [0, 0, 0, 1], "fovy": 45, "near": 0.01, "far": 1000,
+    }  # fmt: skip
+    grid = {"layerId": "foxglove.Grid", "instanceId": "grid", "label": "Grid", "visible": True, "size": 10}
+    return (
+        json.dumps(
+            {
+                "configById": {
+                    "3D!scene": {
+                        "cameraState": camera, "followMode": "follow-none", "followTf": root,
+                        "scene": {"transforms": {"showLabel": False, "axisScale": 0}}, "topics": topics,
+                        "layers": {"grid": {**grid, "frameId": root, "divisions": 10}},
+                    },
+                    "RosOut!events": {"topicToRender": log, "minLogLevel": 1, "searchTerms": []},
+                },
+                "globalVariables": {},
+                "userNodes": {},
+                "playbackConfig": {"speed": 1},
+                "layout": {"first": "3D!scene", "second": "RosOut!events", "direction": "row", "splitPercentage": 75},
+            },
+            indent=1,
+        )
+        + "\n"
+    )  # fmt: skip

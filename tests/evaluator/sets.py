@@ -7,8 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from gpusimbench.evaluator.cli.share import main
-from gpusimbench.evaluator.share.dataset.contents import sum_of
-from gpusimbench.evaluator.share.dataset.folder import find
+from gpusimbench.evaluator.share.dataset.contents import find, sum_of
 from gpusimbench.evaluator.share.dataset.manifest import CHECKSUMS, MANIFEST, write_sums
 
 WORDS = ("--title", "Three short runs", "--licence", "CC-BY-4.0", "--author", "Doe, Jane; Some University")

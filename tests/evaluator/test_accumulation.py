@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpusimbench.evaluator.compute.cache.store import Store
+from gpusimbench.evaluator.compute.cache import Store
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.report.html import render_html

@@ -15,12 +15,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.bisect.bisection import Bisection
-from gpusimbench.evaluator.bisect.document import bisect_document, verdict_of
-from gpusimbench.evaluator.bisect.environment import RECORDING, NotInstalled, between, environment_of, releases
-from gpusimbench.evaluator.bisect.plan import with_options
+from gpusimbench.evaluator.bisect.bisection import Bisection, bisect_document, most, search, verdict_of
+from gpusimbench.evaluator.bisect.environment import (
+    RECORDING,
+    NotInstalled,
+    between,
+    environment_of,
+    releases,
+    with_options,
+)
 from gpusimbench.evaluator.bisect.predicates import Verdict, first_number, predicate_of
-from gpusimbench.evaluator.bisect.search import most, search
 from gpusimbench.evaluator.compute.recorder import about
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.read.recording import Recording

@@ -19,13 +19,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.compute.cache import store as store_module
-from gpusimbench.evaluator.compute.cache.codec import classes_of, decode, encode
-from gpusimbench.evaluator.compute.cache.store import Store, default_folder
+from gpusimbench.evaluator.compute import cache as store_module
+from gpusimbench.evaluator.compute.cache import Store, classes_of, decode, default_folder, encode
 from gpusimbench.evaluator.compute.work import Work
-from gpusimbench.evaluator.inputs import known_files
-from gpusimbench.evaluator.inputs.known_files import read_all
-from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
+from gpusimbench.evaluator.inputs import reader
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all
 from gpusimbench.evaluator.read import stamp
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.json import dump_json
@@ -210,7 +208,7 @@ def test_entries_have_a_largest_size(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_a_result_of_another_kind_is_none(tmp_path: Path, small: Path) -> None:
     """Read a file whose entry holds something else, as a version of tomorrow might."""
     store = Store(tmp_path)
-    known = known_files.KnownFiles(store, Reader(1.0))
+    known = reader.KnownFiles(store, Reader(1.0))
     seen = stamp.stamp_of(small)
     assert seen is not None
     store.put(store.key(stamp.Stamp, seen), "hash")

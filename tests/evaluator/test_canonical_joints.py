@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.metrics.physics.double_pendulum import DoublePendulum
+from gpusimbench.evaluator.metrics.physics.closed_form import DoublePendulum
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.canonical import Law, Unmeasured, laws

@@ -17,12 +17,11 @@ from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
 from gpusimbench.evaluator.compare.finding import Change
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.metrics.levels import verdict
-from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.missing import Missing, every
 from gpusimbench.evaluator.read.streams import Fingerprints
 from gpusimbench.evaluator.report import verdicts, words
-from gpusimbench.evaluator.report.fidelity import cells
+from gpusimbench.evaluator.report.sections.mechanics import cells
 from gpusimbench.evaluator.results import identity_metrics as identity
-from gpusimbench.evaluator.results.claims import every
 from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
 from gpusimbench.evaluator.results.fidelity import Verdict, fidelity
 from gpusimbench.evaluator.results.group_runs import GroupRuns
@@ -32,7 +31,7 @@ from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.validity import validity_of
 from gpusimbench.evaluator.runs.physics.facts import Check, PhysicsFacts, measured
 from gpusimbench.evaluator.runs.state_hashes import histories_of
-from gpusimbench.evaluator.share.leaderboard import words as board_words
+from gpusimbench.evaluator.share.leaderboard import formats as board_words
 from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reproduction
 from gpusimbench.schemas.text import plural
 

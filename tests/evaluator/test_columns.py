@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.read import columns as module
-from gpusimbench.evaluator.read.columns import columns
+from gpusimbench.evaluator.read import messages as module
+from gpusimbench.evaluator.read.messages import columns
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.wire import varint
 

@@ -13,7 +13,7 @@ from gpusimbench.evaluator.compare import document
 from gpusimbench.evaluator.compare.compare import Compared, Result
 from gpusimbench.evaluator.compare.document import comment, full, short
 from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
-from gpusimbench.evaluator.compare.schedule import Schedule
+from gpusimbench.evaluator.compare.numbers import Schedule
 from gpusimbench.evaluator.render.document import Block, Document, Items, Section, Table, Text, Tone, walk
 from gpusimbench.evaluator.results.metric import Axis, Direction
 

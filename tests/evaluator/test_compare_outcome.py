@@ -9,9 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.compare.distances import Distances, distances, has_positions, joint_distances
 from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
-from gpusimbench.evaluator.compare.outcome import compare_outcomes, compare_spread
+from gpusimbench.evaluator.compare.outcome import (
+    Distances,
+    compare_outcomes,
+    compare_spread,
+    distances,
+    has_positions,
+    joint_distances,
+)
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing

@@ -15,8 +15,7 @@ from scipy import stats
 
 from gpusimbench.evaluator.compare.compare import _answered, _Asked
 from gpusimbench.evaluator.compare.finding import Change, Counted, Finding, Settings
-from gpusimbench.evaluator.compare.numbers import matters
-from gpusimbench.evaluator.compare.schedule import Schedule, neighbours
+from gpusimbench.evaluator.compare.numbers import Schedule, matters, neighbours
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.statistics import exchange

@@ -18,8 +18,7 @@ from gpusimbench.evaluator.cli.episodes import main as episodes
 from gpusimbench.evaluator.episodes import clusters, dependence
 from gpusimbench.evaluator.episodes.comparison import compare, difference_of
 from gpusimbench.evaluator.episodes.document import warnings
-from gpusimbench.evaluator.episodes.outcome import FinishOrder, Outcome, outcome
-from gpusimbench.evaluator.episodes.profile import profiles
+from gpusimbench.evaluator.episodes.outcome import FinishOrder, Outcome, outcome, profiles
 from gpusimbench.evaluator.episodes.side import Choice, Episodes, choose, read_side, with_common_clusters
 from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.missing import Missing

@@ -14,8 +14,7 @@ import pytest
 from gpusimbench.evaluator.compute import cluster as cluster_module
 from gpusimbench.evaluator.compute.cluster import Cluster
 from gpusimbench.evaluator.compute.work import HERE, Work
-from gpusimbench.evaluator.inputs.known_files import read_all
-from gpusimbench.evaluator.inputs.reader import Reader
+from gpusimbench.evaluator.inputs.reader import Reader, read_all
 from gpusimbench.evaluator.report.json import dump_json
 from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.schemas.errors import GsbError, UsageError

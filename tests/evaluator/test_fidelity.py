@@ -10,13 +10,12 @@ from typing import Any
 
 import pytest
 
+from gpusimbench.evaluator.compare.counted import compare_mechanics
 from gpusimbench.evaluator.compare.finding import Change, Counted, Finding
-from gpusimbench.evaluator.compare.mechanics import compare_mechanics
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Document, facts
 from gpusimbench.evaluator.render.terminal import print_document
-from gpusimbench.evaluator.report.fidelity import fidelity_record
-from gpusimbench.evaluator.report.sections.mechanics import blocks, held
+from gpusimbench.evaluator.report.sections.mechanics import blocks, fidelity_record, held
 from gpusimbench.evaluator.results.fidelity import Fidelity, Verdict, fidelity
 from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts, measured
 

@@ -18,12 +18,11 @@ from markupsafe import Markup
 
 from gpusimbench.evaluator.cli.eval import main
 from gpusimbench.evaluator.metrics.density import HexGrid
-from gpusimbench.evaluator.render import latex
+from gpusimbench.evaluator.render import table_files
 from gpusimbench.evaluator.render.document import Figure, key_of
 from gpusimbench.evaluator.render.figures import matrix, style, svg
 from gpusimbench.evaluator.report.document import report
-from gpusimbench.evaluator.report.paper.figures import HEAD, INDEX, named, write_figures
-from gpusimbench.evaluator.report.paper.pdf import to_pdf
+from gpusimbench.evaluator.report.paper import HEAD, INDEX, named, to_pdf, write_figures
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -163,7 +162,7 @@ def assert_balanced(text: str) -> None:
 @given(st.text())
 def test_any_text_is_harmless_latex(text: str) -> None:
     """Escape whatever is special, show what has no letter, and stay in one paragraph."""
-    found = latex.escape(text)
+    found = table_files.escape(text)
     assert_balanced(found)
     assert "\n" not in found
     assert not re.search(r"(?<!\\)[#%&_]", found)
@@ -176,14 +175,14 @@ def test_any_text_is_harmless_latex(text: str) -> None:
 
 def test_signs_are_signs() -> None:
     """Set plus-minus, the minus sign, thin spaces and superscripts as LaTeX has them."""
-    assert latex.escape("1\u2009±\u20092 × 10⁻³") == r"1\,$\pm$\,2 $\times$ 10$^{-}$$^{3}$"
-    assert latex.escape("\u4e2d \u2212") == "[U+4E2D] $-$"
+    assert table_files.escape("1\u2009±\u20092 × 10⁻³") == r"1\,$\pm$\,2 $\times$ 10$^{-}$$^{3}$"
+    assert table_files.escape("\u4e2d \u2212") == "[U+4E2D] $-$"
 
 
 def test_no_sign_needs_other_fonts() -> None:
     """Set straight quotes and letters by what LaTeX's default font encoding, OT1, has; others show as numbers."""
-    assert latex.escape('"a" éßşů') == r"\textquotedblright{}a\textquotedblright{} éßşů"
-    assert latex.escape("Þęđħ") == "[U+00DE][U+0119][U+0111][U+0127]"
+    assert table_files.escape('"a" éßşů') == r"\textquotedblright{}a\textquotedblright{} éßşů"
+    assert table_files.escape("Þęđħ") == "[U+00DE][U+0119][U+0111][U+0127]"
 
 
 def test_text_comes_out(tmp_path: Path) -> None:

@@ -14,14 +14,12 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.fit.document import dump_csv
-from gpusimbench.evaluator.fit.parameters import WIDEST, Parameters, parameters
-from gpusimbench.evaluator.fit.search import Evaluation, best_of, search
+from gpusimbench.evaluator.fit.search import WIDEST, Evaluation, Parameters, best_of, parameters, search
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION
-from gpusimbench.evaluator.results.toss_ranking import ranked
+from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, ranked
 from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
 from gpusimbench.recorder.trials.tosses import VARIABLE
 from gpusimbench.schemas.errors import ExitCode, UsageError

@@ -14,8 +14,7 @@ from gpusimbench.evaluator.compare.history import words
 from gpusimbench.evaluator.compare.history.curves import Curve, Sample, Shift
 from gpusimbench.evaluator.compare.history.document import full, short
 from gpusimbench.evaluator.compare.history.history import Event, Fact, History, Traced
-from gpusimbench.evaluator.compare.history.points import Point
-from gpusimbench.evaluator.compare.history.series import _device
+from gpusimbench.evaluator.compare.history.series import Point, _device
 from gpusimbench.evaluator.render.document import Cell, Document, Items, Section, Table, Text, Tone, walk
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS

@@ -25,7 +25,7 @@ from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.player.playback import playback_of
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.render.scripts import script
+from gpusimbench.evaluator.render.templating import script
 from gpusimbench.evaluator.report.html import render_html, write_html
 from gpusimbench.evaluator.results import group_metrics, published
 from gpusimbench.evaluator.results.details import (

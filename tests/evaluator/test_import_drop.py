@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 
-from gpusimbench.evaluator.imports.landing import Landing, landings
+from gpusimbench.evaluator.imports.audit import Landing, landings
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene

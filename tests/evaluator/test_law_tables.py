@@ -12,7 +12,7 @@ from benchmarks.law_changes import EVERY_MASS, Change, change_model, changed_sce
 from benchmarks.law_masses import trials as unmoved
 from benchmarks.law_power import Setting, recorded_together, table, trials
 from benchmarks.loaded_dice import power, throw
-from gpusimbench.evaluator.statistics.counts import uniformity
+from gpusimbench.evaluator.statistics.families import uniformity
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions

@@ -7,8 +7,8 @@ import pytest
 
 from gpusimbench.evaluator.render.document import Facts, Items, Section, Table, Tone, walk
 from gpusimbench.evaluator.report.document import TITLE, report
-from gpusimbench.evaluator.report.fidelity import remarks
 from gpusimbench.evaluator.report.sections import provenance, recordings, throughput, validity
+from gpusimbench.evaluator.report.sections.mechanics import remarks
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.fidelity import fidelity

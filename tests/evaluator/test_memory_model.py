@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.metrics.memory_model import MemoryModel, fit_memory
+from gpusimbench.evaluator.metrics.memory import MemoryModel, fit_memory
 
 powers = st.lists(st.integers(0, 20).map(lambda k: 2**k), min_size=3, max_size=21, unique=True)
 bytes_ = st.floats(1e6, 1e11)

@@ -25,8 +25,8 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import DistinctRuns, Throughput
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.results.speeds import speeds_of
-from gpusimbench.evaluator.statistics.outcomes import ALPHA, p_value, ranges_of
+from gpusimbench.evaluator.results.timed_work import speeds_of
+from gpusimbench.evaluator.statistics.permutation import ALPHA, p_value, ranges_of
 from tests.pages import text_of
 
 H100 = Path(__file__).resolve().parents[2] / "recordings" / "h100"

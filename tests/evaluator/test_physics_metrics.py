@@ -9,11 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.metrics.physics.energy import FrictionCone, Rises, mechanical_energy
+from gpusimbench.evaluator.metrics.physics.energy import Displacements, FrictionCone, Rises, mechanical_energy
 from gpusimbench.evaluator.metrics.physics.falling import deformation, impact
-from gpusimbench.evaluator.metrics.physics.kinematics import Displacements
-from gpusimbench.evaluator.metrics.physics.rolling import descent, foot_speed
-from gpusimbench.evaluator.metrics.physics.sliding import Stretches
+from gpusimbench.evaluator.metrics.physics.rolling import Stretches, descent, foot_speed
 from gpusimbench.evaluator.metrics.physics.solids import (
     FixedBox,
     HalfSpace,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.player.clip import make_clip
 from gpusimbench.evaluator.player.encode import RESOLUTION_M, RESOLUTION_QUATERNION, encode
+from gpusimbench.evaluator.player.page import sentences
 from gpusimbench.evaluator.player.poses import items_of
-from gpusimbench.evaluator.player.words import sentences
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
 from tests.synthetic import grid, write_recording

@@ -9,8 +9,7 @@ import pytest
 
 from gpusimbench.evaluator.metrics.identity import distinct_over_time
 from gpusimbench.evaluator.player.clip import make_clip
-from gpusimbench.evaluator.player.markup import markup, script
-from gpusimbench.evaluator.player.page import render_page
+from gpusimbench.evaluator.player.page import markup, render_page, script
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.figures.palette import GROUPS_DARK, GROUPS_LIGHT
 from tests.browser import Browser, needs_chromium

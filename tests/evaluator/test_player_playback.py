@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from gpusimbench.evaluator.player.encode import encode
-from gpusimbench.evaluator.player.markup import script
+from gpusimbench.evaluator.player.page import script
 from gpusimbench.evaluator.player.playback import BUDGET_BYTES, playback_of
-from gpusimbench.evaluator.render.scripts import script as download
+from gpusimbench.evaluator.render.templating import script as download
 from gpusimbench.evaluator.report.html import write_html
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation

@@ -10,8 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.metrics.regime import REGIME_MEANING, Regime, is_present, published_regime
-from gpusimbench.evaluator.statistics.regimes import Resampling, regime_probabilities, upper_bound_of_none
+from gpusimbench.evaluator.statistics.regimes import (
+    REGIME_MEANING,
+    Regime,
+    Resampling,
+    is_present,
+    published_regime,
+    regime_probabilities,
+    upper_bound_of_none,
+)
 
 SAME = np.zeros((6, 6))
 PUBLISHED = [

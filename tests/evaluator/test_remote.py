@@ -39,8 +39,7 @@ from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.mcap.records import MAGIC
 from gpusimbench.schemas.remote import file as remote
 from gpusimbench.schemas.remote import web as addresses_of_web
-from gpusimbench.schemas.remote.file import RemoteFile
-from gpusimbench.schemas.remote.patience import Patience, TooSlow
+from gpusimbench.schemas.remote.file import Patience, RemoteFile, TooSlow
 from tests.conftest import run_python
 from tests.forging import copied
 from tests.hostile.reading import in_time
@@ -736,7 +735,7 @@ def test_a_slow_server(
 def test_patience_is_for_all_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for many answers that are each in time only as long as their bytes are worth it, then ask no more."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr("gpusimbench.schemas.remote.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr("gpusimbench.schemas.remote.file.time", SimpleNamespace(monotonic=lambda: clock.now))
 
     def answer() -> bytes:
         clock.now += 30
@@ -759,7 +758,7 @@ def test_patience_is_for_all_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_patience_counts_what_is_asked_at_once_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for eight answers at the same time as long as for one of them."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr("gpusimbench.schemas.remote.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr("gpusimbench.schemas.remote.file.time", SimpleNamespace(monotonic=lambda: clock.now))
     patience = Patience(answer_s=100, file_s=100, rate=1e6)
     together = Barrier(8, action=lambda: setattr(clock, "now", 60.0))
     with ThreadPoolExecutor(8) as pool:

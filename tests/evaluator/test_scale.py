@@ -194,7 +194,7 @@ def test_the_page_shows_the_script() -> None:
 def test_the_page_names_limits_that_are() -> None:
     """Name the limits of the code."""
     page = re.sub(r"\s+", " ", PAGE.read_text(encoding="utf-8"))
-    from gpusimbench.evaluator.compute.cache.store import MAX_BYTES
+    from gpusimbench.evaluator.compute.cache import MAX_BYTES
     from gpusimbench.evaluator.metrics.variability import MATRIX_ENVS, MAX_DISTINCT, SAMPLED_ENVS
     from gpusimbench.evaluator.read.addresses import MAX_FILES
     from gpusimbench.evaluator.transport.small import SUMMARY_ROWS

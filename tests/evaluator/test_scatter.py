@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.document import Figure
 from gpusimbench.evaluator.render.figures.axis import tick_label
-from gpusimbench.evaluator.render.figures.placement import Box, place
-from gpusimbench.evaluator.render.figures.scatter import Point, scatter
+from gpusimbench.evaluator.render.figures.scatter import Box, Point, place, scatter
 from gpusimbench.evaluator.report.sections.scatter import pictures
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 

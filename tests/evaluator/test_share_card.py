@@ -17,10 +17,8 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.cli.share import main
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.share.dataset.citation import parse_author
-from gpusimbench.evaluator.share.dataset.contents import identity
-from gpusimbench.evaluator.share.dataset.folder import why_not
-from gpusimbench.evaluator.share.dataset.licences import HUB_NAMES, check_licence
+from gpusimbench.evaluator.share.dataset.citation import HUB_NAMES, check_licence, parse_author
+from gpusimbench.evaluator.share.dataset.contents import identity, why_not
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import call, finished, run_python
 from tests.evaluator.sets import WHEN, WORDS, described

@@ -16,11 +16,10 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.cli.share import main, parser
-from gpusimbench.evaluator.compute.cache.codec import encode
-from gpusimbench.evaluator.compute.cache.store import Store
+from gpusimbench.evaluator.compute.cache import Store, encode
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.render.scripts import script
+from gpusimbench.evaluator.render.templating import script
 from gpusimbench.evaluator.share.dataset import contents
 from gpusimbench.evaluator.share.leaderboard.make import gather
 from gpusimbench.schemas.errors import ExitCode

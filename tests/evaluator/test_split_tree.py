@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.metrics.identity import distinct_over_time
-from gpusimbench.evaluator.metrics.split_tree import SplitTree, split_tree
+from gpusimbench.evaluator.metrics.identity import SplitTree, distinct_over_time, split_tree
 
 
 def tree_of(hashes: np.ndarray) -> SplitTree:

@@ -10,8 +10,8 @@ import pytest
 
 from gpusimbench.evaluator.metrics.density import HexGrid, marginal
 from gpusimbench.evaluator.metrics.divergence import GrowthFit
+from gpusimbench.evaluator.metrics.identity import Branch, SplitTree
 from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar
-from gpusimbench.evaluator.metrics.split_tree import Branch, SplitTree
 from gpusimbench.evaluator.render.figures import (
     axis,
     curves,

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from gpusimbench.evaluator.audit import distribution
 from gpusimbench.evaluator.audit.distribution import Unit, exchangeable, least_p, runs_needed, same_law
 from gpusimbench.evaluator.compute.mapping import serial
-from gpusimbench.evaluator.metrics import cotenants, divergence, memory_model, regime, variability
+from gpusimbench.evaluator.metrics import cotenants, divergence, memory, variability
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.statistics import exchange
+from gpusimbench.evaluator.statistics import exchange, regimes
 from gpusimbench.evaluator.statistics import floor as floors
 from gpusimbench.evaluator.statistics.exchange import count_dealings, dealings
 from gpusimbench.evaluator.statistics.floor import floor
@@ -45,11 +45,11 @@ SAID = [
     ),
     ("metrics.md", f"exceeds one of these by more than {cotenants.UNEXPLAINED_BYTES >> 20} MiB"),
     ("metrics.md", f"{cotenants.UNLIKE_BYTES >> 20} MiB larger than in another run"),
-    ("metrics.md", f"above {memory_model.HOLDS_WITHIN:.0%} the model".replace("%", " %")),
+    ("metrics.md", f"above {memory.HOLDS_WITHIN:.0%} the model".replace("%", " %")),
     ("metrics.md", f"from the first nonzero distance up to {divergence.FIT_LIMIT_M * 1e3:g} mm"),
     ("metrics.md", f"if R squared of its fit is below {divergence.MIN_R_SQUARED:g}"),
     ("statistics.md", f"from the first nonzero one to the last below {divergence.FIT_LIMIT_M * 1e3:g} mm"),
-    ("regimes.md", f"below {regime.PRESENT_FROM_CM} cm"),
+    ("regimes.md", f"below {regimes.PRESENT_FROM_CM} cm"),
     ("scale.md", f"up to {variability.MAX_DISTINCT}, above which {variability.SAMPLED_ENVS} are drawn"),
 ]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pynvml
 import pytest
 
-from gpusimbench.evaluator.metrics.throttling import REASONS, THROTTLING, reasons_of, throttled_share
+from gpusimbench.evaluator.check.hardware import REASONS, THROTTLING, reasons_of, throttled_share
 
 NAMES = {
     "GpuIdle": "idle",

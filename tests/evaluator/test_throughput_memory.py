@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gpusimbench.evaluator.metrics.memory import Checkpoints, peak_increment
-from gpusimbench.evaluator.metrics.startup import typical_time
-from gpusimbench.evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.metrics.throughput import frames_per_second, typical_time
 
 
 def test_frames_per_second() -> None:

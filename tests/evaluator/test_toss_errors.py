@@ -39,8 +39,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS, TOSS_POSITION
-from gpusimbench.evaluator.results.toss_ranking import beaten_by, ranked
+from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS, TOSS_POSITION, beaten_by, ranked
 from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
 from gpusimbench.evaluator.statistics.cases import mean_interval, paired
 from gpusimbench.recorder.trials.tosses import Tosses, read_tosses

@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.metrics.identity import distinct_over_time
-from gpusimbench.evaluator.metrics.split_tree import Branch, SplitTree
+from gpusimbench.evaluator.metrics.identity import Branch, SplitTree, distinct_over_time
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json

@@ -18,8 +18,8 @@ from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer
 from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of
 from gpusimbench.evaluator.probe.questions import probed
+from gpusimbench.evaluator.read.described import factors_of
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.read.varied import factors_of
 from gpusimbench.evaluator.results.identity_metrics import comparable
 from gpusimbench.evaluator.runs.groups import key_of
 from gpusimbench.evaluator.runs.physics.facts import Check

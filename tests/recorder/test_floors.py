@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.runs.sunk_cubes import count_sunk
+from gpusimbench.evaluator.runs.physics.depth import count_sunk
 from gpusimbench.recorder.simulators.mujoco.floors import floors_of
 from tests.conftest import call
 

@@ -19,8 +19,8 @@ from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.model_files import pack
 from gpusimbench.schemas.view.geometry import GEOMETRY, Look, look_of
+from gpusimbench.schemas.view.kinematics import product, rotate
 from gpusimbench.schemas.view.motion import Motion, absolute
-from gpusimbench.schemas.view.rotation import product, rotate
 from tests.conftest import call
 from tests.evaluator.viewing import placed, read
 from tests.recorder.test_model import WALKER, _gymnasium_models

@@ -15,8 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpusimbench import DamagedRecording, RecordingWriter, UsageError, open_recording, verify, wrap
-from gpusimbench.evaluator.read.episode_table import NEEDED
-from gpusimbench.evaluator.read.episodes import Episode, count_episodes, episodes
+from gpusimbench.evaluator.read.episodes import NEEDED, Episode, count_episodes, episodes
 from gpusimbench.schemas.fields import array_field
 from tests.conftest import call, run_python
 

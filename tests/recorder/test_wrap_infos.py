@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import UsageError, open_recording, verify, wrap
-from gpusimbench.evaluator.read.episode_table import episode_table
+from gpusimbench.evaluator.read.episodes import episode_table
 from gpusimbench.recorder.vector.infos import told
 from gpusimbench.recorder.vector.modes import Mode
 

@@ -14,10 +14,10 @@ from gpusimbench.schemas.checks import load
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField, ball_fields, body_fields, joint_field
 from gpusimbench.schemas.view import geometry
-from gpusimbench.schemas.view.env_view import EnvView
 from gpusimbench.schemas.view.foxglove import entity
 from gpusimbench.schemas.view.geometry import GEOMETRY, look_of
 from gpusimbench.schemas.view.motion import Motion
+from gpusimbench.schemas.view.recorded import EnvView
 
 GOOD: dict[str, Any] = {
     "bodies": [

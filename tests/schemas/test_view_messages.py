@@ -21,9 +21,8 @@ from gpusimbench.schemas.fields import StateField, body_field, joint_field
 from gpusimbench.schemas.messages import DESCRIPTOR_SETS, embedded_schema, message_class
 from gpusimbench.schemas.topics import has_digest, parse_state, parse_view, view
 from gpusimbench.schemas.view.geometry import look_of
-from gpusimbench.schemas.view.layout import layout
 from gpusimbench.schemas.view.motion import Motion, one_of
-from gpusimbench.schemas.view.recorded import RecordedView
+from gpusimbench.schemas.view.recorded import RecordedView, layout
 
 TYPES = ("SceneUpdate", "FrameTransforms", "PosesInFrame", "Log")
 

@@ -17,8 +17,7 @@ from gpusimbench.evaluator.check.integrity.streams import check_streams
 from gpusimbench.evaluator.check.integrity.summary import check_summary
 from gpusimbench.evaluator.check.integrity.view import check_view
 from gpusimbench.evaluator.read.addresses import fetched
-from gpusimbench.evaluator.read.confirmed import unconfirmed
-from gpusimbench.evaluator.read.described import Described
+from gpusimbench.evaluator.read.described import Described, unconfirmed
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, state_header_in

@@ -9,9 +9,10 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from gpusimbench.evaluator.check import hardware, work
+from gpusimbench.evaluator.check import hardware
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.integrity.problem import Kind
+from gpusimbench.evaluator.check.rules import work_facts
 from gpusimbench.evaluator.check.rules.fact import (
     Fact,
     FactType,
@@ -236,10 +237,10 @@ CONDITIONS: dict[str, tuple[str, Callable[[Integrity], bool]]] = {
     "timed": ("a timed phase was asked for", lambda f: "timed" in configuration_of(f).phases),
     "captured": ("a capture phase was asked for", lambda f: "capture" in configuration_of(f).phases),
     "complete": ("the run is complete by its own word", lambda f: described_of(f).status == "complete"),
-    "counted": ("contacts are counted in the timed phase", lambda f: work.contacts(recording_of(f)) is not None),
+    "counted": ("contacts are counted in the timed phase", lambda f: work_facts.contacts(recording_of(f)) is not None),
     "motion-counted": (
         "the recorder counted what moves at the begin and the end of the timed phase",
-        lambda f: work.moving(recording_of(f)) is not None,
+        lambda f: work_facts.moving(recording_of(f)) is not None,
     ),
     "throttling-known": (
         "the GPU tells in the timed phase why its clocks are not higher",

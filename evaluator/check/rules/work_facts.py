@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gpusimbench.evaluator.check import hardware, work
+from gpusimbench.evaluator.check import hardware
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.rules.fact import (
     Fact,
@@ -12,7 +12,74 @@ from gpusimbench.evaluator.check.rules.fact import (
     recording_of,
     simulation_of,
 )
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.provenance import Simulation
 from gpusimbench.schemas.tosses import EVEN
+
+FACTS_OF_A_TOSS = ("static_friction", "kinetic_friction", "mass", "size", "inertia")
+"""Last words of the parameters that the closed division gives: friction, mass, edge, inertia."""
+
+
+def counters(recording: Recording) -> tuple[str, ...]:
+    """Counters that the timed phase has at its begin and at its end."""
+    return tuple(name for name, counts in recording.counts.get("timed", {}).items() if len(counts.steps) > 1)
+
+
+def counters_missing(recording: Recording) -> tuple[str, ...]:
+    """Counters that the engine declares, and the timed phase does not have at its begin and at its end."""
+    declared = recording.simulation.counters if recording.simulation else ()
+    there = counters(recording)
+    return tuple(counter.name for counter in declared if counter.name not in there)
+
+
+def contacts(recording: Recording) -> float | None:
+    """Contacts of an environment at the last timed step, on average; None where they are not counted."""
+    found = recording.counts.get("timed", {}).get("contacts")
+    return float(found.mean[-1]) if found is not None and len(found.mean) else None
+
+
+def state_changes(recording: Recording) -> bool:
+    """Whether the state of every environment at the end of the timed phase is another than at its begin.
+
+    False also where the states have no hashes.
+    """
+    hashes = recording.fingerprints("timed")
+    return hashes is not None and len(hashes.steps) > 1 and bool((hashes.hashes[0] != hashes.hashes[-1]).all())
+
+
+def actions_change(recording: Recording) -> bool:
+    """Whether the actions of the last timed step are others than those of the first; False where there are none."""
+    stream = recording.action_streams.get("timed")
+    return stream is not None and bool(stream.last_sha256) and stream.first_sha256 != stream.last_sha256
+
+
+def actions_verified(recording: Recording) -> bool:
+    """Whether the engine held, after the last timed step, the actions that it was given for that step."""
+    stream = recording.action_streams.get("timed")
+    return stream is not None and stream.verified
+
+
+def moving(recording: Recording) -> float | None:
+    """Joints and bodies of an environment that move, on average, at the begin or the end of the timed phase, whichever
+    is less; None where they are not counted at both."""
+    found = recording.counts.get("timed", {}).get("moving")
+    return float(min(found.mean)) if found is not None and len(found.mean) > 1 else None
+
+
+def facts_not_honoured(simulation: Simulation) -> tuple[str, ...]:
+    """Friction, mass, edge or inertia of a body that the engine has another value of, each with both values."""
+    return tuple(
+        f"{deviation.parameter} is {deviation.used}, not {deviation.wanted}"
+        for deviation in simulation.deviations
+        if deviation.parameter.rpartition(".")[2] in FACTS_OF_A_TOSS and not _same(deviation.used, deviation.wanted)
+    )
+
+
+def _same(used: str, wanted: str) -> bool:
+    try:
+        return float(used) == float(wanted)
+    except ValueError:  # in words, such as "two coefficients"
+        return used == wanted
 
 
 def _steps_made(file: Integrity, phase: str, asked: int) -> int:
@@ -61,38 +128,38 @@ WORK_FACTS: dict[str, Fact] = {
     "timed_counters": Fact(
         FactType.list,
         "what is counted at the begin and the end of the timed phase",
-        lambda f: work.counters(recording_of(f)),
+        lambda f: counters(recording_of(f)),
     ),
     "timed_counters_missing": Fact(
         FactType.list,
         "what the engine counts, but not in the timed phase",
-        lambda f: work.counters_missing(recording_of(f)),
+        lambda f: counters_missing(recording_of(f)),
     ),
     "timed_contacts": Fact(
         FactType.number,
         "contacts of an environment at the last timed step, on average",
-        lambda f: _known(work.contacts(recording_of(f)), "contacts are not counted"),
+        lambda f: _known(contacts(recording_of(f)), "contacts are not counted"),
     ),
     "timed_state_changes": Fact(
         FactType.flag,
         "every environment's state hash at the end of the timed phase differs from that at its begin",
-        lambda f: work.state_changes(recording_of(f)),
+        lambda f: state_changes(recording_of(f)),
     ),
     "timed_actions_change": Fact(
         FactType.flag,
         "the actions of the last timed step differ from those of the first",
-        lambda f: work.actions_change(recording_of(f)),
+        lambda f: actions_change(recording_of(f)),
     ),
     "timed_actions_verified": Fact(
         FactType.flag,
         "the engine held the actions of the last timed step, as it was given them",
-        lambda f: work.actions_verified(recording_of(f)),
+        lambda f: actions_verified(recording_of(f)),
     ),
     "timed_moving": Fact(
         FactType.number,
         "joints and bodies of an environment that move, on average, at the begin or the end of the timed phase, "
         "whichever is less",
-        lambda f: _known(work.moving(recording_of(f)), "what moves is not counted"),
+        lambda f: _known(moving(recording_of(f)), "what moves is not counted"),
     ),
     "timed_unsampled_s": Fact(
         FactType.number,
@@ -118,7 +185,7 @@ WORK_FACTS: dict[str, Fact] = {
     "facts_not_honoured": Fact(
         FactType.list,
         "friction, mass, edge or inertia that the engine has another value of",
-        lambda f: work.facts_not_honoured(simulation_of(f)),
+        lambda f: facts_not_honoured(simulation_of(f)),
     ),
 }
 """By name."""

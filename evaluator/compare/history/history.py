@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.compare.distances import distances, has_positions, joint_distances
+from gpusimbench.evaluator.compare.counted import compare_mechanics, compare_validity
 from gpusimbench.evaluator.compare.finding import DIFFERENT, FAILING, Change, Finding, Settings
 from gpusimbench.evaluator.compare.history.curves import Curve, Shift, curves_of, searched
-from gpusimbench.evaluator.compare.history.points import Point, Points
-from gpusimbench.evaluator.compare.history.series import Entry, Series, series_of
+from gpusimbench.evaluator.compare.history.series import Entry, Point, Points, Series, series_of
 from gpusimbench.evaluator.compare.matching import Pair
-from gpusimbench.evaluator.compare.mechanics import compare_mechanics
-from gpusimbench.evaluator.compare.outcome import JOINT_OUTCOMES, compare_outcomes
+from gpusimbench.evaluator.compare.outcome import (
+    JOINT_OUTCOMES,
+    compare_outcomes,
+    distances,
+    has_positions,
+    joint_distances,
+)
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
-from gpusimbench.evaluator.compare.validity import compare_validity
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.results.metric import Axis

@@ -6,7 +6,7 @@ from typing import Any
 
 from gpusimbench.evaluator.compare.history.curves import Curve, Sample, Shift
 from gpusimbench.evaluator.compare.history.history import Fact, History, Traced
-from gpusimbench.evaluator.compare.history.points import ORDER
+from gpusimbench.evaluator.compare.history.series import ORDER
 from gpusimbench.evaluator.compare.history.words import headline
 from gpusimbench.evaluator.json_values import dump, picked, values_of
 from gpusimbench.evaluator.missing import why_missing

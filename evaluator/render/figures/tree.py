@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from gpusimbench.evaluator.metrics.split_tree import Branch, SplitTree
+from gpusimbench.evaluator.metrics.identity import Branch, SplitTree
 from gpusimbench.evaluator.render.figures import axis
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
 

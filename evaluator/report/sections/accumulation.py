@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from gpusimbench.evaluator.render.document import Section, Text, key_of, table
 from gpusimbench.evaluator.render.numbers import NONE, distance
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.accumulation import Accumulation
+from gpusimbench.evaluator.results.sweeps import Accumulation
 from gpusimbench.evaluator.statistics.jackknife import Interval
 from gpusimbench.evaluator.statistics.matched import Variability
 from gpusimbench.schemas.text import plural

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from markupsafe import Markup
+
 from gpusimbench.evaluator.metrics.radar import Axis, Radar
 from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
     Column,
+    Figure,
     Gallery,
     Item,
     Items,
+    Numbers,
     Row,
     Section,
     Table,
@@ -21,8 +25,8 @@ from gpusimbench.evaluator.render.document import (
     Tone,
     table,
 )
+from gpusimbench.evaluator.render.figures import radar_chart
 from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.report.sections import radar
 from gpusimbench.evaluator.report.sections.dot_plot import bars, panels
 from gpusimbench.evaluator.report.sections.rows import Reasons, facets, footnotes, lines_of
 from gpusimbench.evaluator.report.source import Source
@@ -32,10 +36,44 @@ from gpusimbench.evaluator.results.ranking import Contender
 from gpusimbench.evaluator.runs.labels import options_given, row_names
 from gpusimbench.schemas.text import plural
 
+_RADAR_CAPTION = (
+    "Rim: the best of these groups. Middle: the worst of them. The scale is relative: another set of groups gives "
+    "another picture. An outline is open at an axis without a value. Where all groups are equal they stand at the rim."
+)
+
 _HOW = (
     "Raw values, a dot for each group that can be compared, with 95 % intervals over runs. A radar scales its axes "
     "from the worst to the best of its groups; these axes are not scaled."
 )
+
+
+def _axis_title(axis: Axis) -> str:
+    shown = on_radar(axis)
+    return shown.title if shown else axis.value
+
+
+def _axis_unit(axis: Axis) -> str:
+    shown = on_radar(axis)
+    return shown.unit if shown else "log2 of environments"
+
+
+def _radar_figure(contenders: Sequence[Contender], radar: Radar) -> Figure:
+    """The radar with the values that it scales; without a drawing where outlines could not be told apart."""
+    rows = [
+        (c.figures.name, _axis_title(axis), value, _axis_unit(axis), radar.values[c.figures.name][axis],
+         c.why_not.get(axis, "") if value is None else "")
+        for c in contenders for axis, value in c.figures.axis_values().items()
+    ]  # fmt: skip
+    titles = ("group", "axis", "value", "unit", "scaled: 1 is the best of these, 0 the worst", "why there is no value")
+    title = "Six axes, scaled over these groups"
+    if len(radar.values) > radar_chart.AT_MOST:
+        why_not = (
+            f"No radar: {len(radar.values)} groups are compared, and more than {radar_chart.AT_MOST} outlines cannot "
+            "be told apart. The dot plots show the same values with intervals."
+        )
+        return Figure(title, why_not, None)
+    svg = Markup(radar_chart.radar_chart(radar))
+    return Figure(title, _RADAR_CAPTION, svg, "radar", Numbers(titles, rows))
 
 
 def section(source: Source) -> Section | None:
@@ -55,7 +93,7 @@ def section(source: Source) -> Section | None:
         Section(
             "radar",
             "Radar",
-            (radar.picture(contenders, scaled), _values(contenders, scaled)),
+            (_radar_figure(contenders, scaled), _values(contenders, scaled)),
             "the same values on six axes, scaled over these groups",
             folded=True,
         )

@@ -19,8 +19,7 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import timed, words
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written
-from gpusimbench.evaluator.report.sections.values import of_groups
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Cost, Family, Price
 from gpusimbench.evaluator.results.faults import faults

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
-from gpusimbench.evaluator.metrics.split_tree import SplitTree
+from gpusimbench.evaluator.metrics.identity import SplitTree
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.document import (
     EMPTY,
@@ -28,8 +28,7 @@ from gpusimbench.evaluator.render.figures import divergence as chart
 from gpusimbench.evaluator.render.figures.tree import members, tree_chart, window
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written, with_lines
-from gpusimbench.evaluator.report.sections.values import of_groups
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_groups, with_lines
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
 from gpusimbench.evaluator.results.result import GroupResult, RunSpread

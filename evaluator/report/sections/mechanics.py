@@ -1,9 +1,12 @@
-"""Checks of mechanics: what was measured of each group, what mechanics allows, and whether it holds."""
+"""Checks of mechanics as a section, in words and as JSON: what was measured, what is allowed, and whether it holds."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
 
+from gpusimbench.evaluator.json_values import picked
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
     Block,
@@ -19,17 +22,82 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.report import fidelity
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written, without
-from gpusimbench.evaluator.report.sections.values import of_groups
+from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_groups, without
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.fidelity import DEMANDED, FidelityRow, Verdict
+from gpusimbench.evaluator.results.fidelity import DEMANDED, Fidelity, FidelityRow, Verdict
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
 from gpusimbench.schemas.text import plural
 
+TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+
 _SAID = f"An opened row shows what each check measured. Tolerances are those of {NEWEST.value}."
 _TONES = {Verdict.HELD: Tone.GOOD, Verdict.BROKEN: Tone.BAD}
+
+
+def fidelity_record(one: Fidelity) -> dict[str, Any]:
+    """One group's physics for JSON: every check by its key, with its verdict."""
+    of_group = "label scene runs n_env looked_at exactness why_not revision held checkable not_checkable"
+    return {**picked(one, of_group), "checks": {row.check.key: _check(row) for row in one.rows}}
+
+
+def _check(row: FidelityRow) -> dict[str, Any]:
+    record = {**picked(row.check, "title unit demanded"), **picked(row, "verdict reason")}
+    if row.verdict is Verdict.NOT_APPLICABLE:
+        return record
+    values = picked(row, "mean least most runs count low high tolerance broken of_runs")
+    return {**record, **values, "tolerance_formula": row.of, "notes": list(row.notes)}
+
+
+def cells(row: FidelityRow) -> tuple[str, ...]:
+    """A measured check as the texts of a table's row, in the order of its titles."""
+    unit = f" [{row.check.unit}]" if row.check.unit else ""
+    verdict = row.verdict.value.upper() if row.verdict is Verdict.BROKEN else row.verdict.value
+    if row.broken:
+        verdict += f" {row.broken} of {row.count}"
+    if row.runs < row.of_runs:
+        verdict += f", measured in {row.runs} of {plural(row.of_runs, 'run')}"
+    spread = NONE if row.least == row.most else f"{number(row.least)} to {number(row.most)}"
+    return row.check.title + unit, number(row.mean), spread, allowed(row), number(row.tolerance), verdict
+
+
+def allowed(row: FidelityRow) -> str:
+    """What mechanics allows, without the tolerance."""
+    if row.low is not None and row.high is not None:
+        return number(row.low) if row.low == row.high else f"{number(row.low)} to {number(row.high)}"
+    if row.high is not None:
+        return f"at most {number(row.high)}"
+    return f"at least {number(row.low)}" if row.low is not None else "any"
+
+
+def number(value: float | None) -> str:
+    """A number with four digits; a dash for none."""
+    return NONE if value is None else f"{value:.4g}"
+
+
+def remarks(one: Fidelity) -> list[str]:
+    """Notes of the checks that were made, and why the others were not: what several checks have is said once."""
+    noted: dict[str, list[str]] = {}
+    for row in one.rows:
+        for note in _in_ranges(row.notes):
+            noted.setdefault(note, []).append(row.check.title)
+    lines = [f"{', '.join(titles)}: {note}" for note, titles in noted.items()]
+    reasons: dict[str, list[str]] = {}
+    for row in one.of(Verdict.NOT_APPLICABLE):
+        reasons.setdefault(row.reason, []).append(row.check.title)
+    return [*lines, *(f"not applicable: {', '.join(names)}: {why}" for why, names in reasons.items())]
+
+
+def _in_ranges(notes: Sequence[str]) -> Iterator[str]:
+    """Notes of several runs that differ in their numbers alone as one, each number as the range that it takes."""
+    alike: dict[str, list[list[str]]] = {}
+    for note in notes:
+        alike.setdefault(_NUMBER.sub("{}", note.replace("{", "(").replace("}", ")")), []).append(_NUMBER.findall(note))
+    for words, found in alike.items():
+        ranges = (sorted(set(numbers), key=float) for numbers in zip(*found, strict=True))
+        yield words.format(*(values[0] if len(values) == 1 else f"{values[0]} to {values[-1]}" for values in ranges))
 
 
 def section(source: Source) -> Section | Missing | None:
@@ -81,18 +149,18 @@ def blocks(result: GroupResult, key: str) -> Iterator[Block]:
         yield _table(key, "", demanded)
     if rest:
         yield _table(f"{key}-rest", "At rest at the sample time (mechanics does not demand it)", rest)
-    if lines := fidelity.remarks(result.fidelity):
+    if lines := remarks(result.fidelity):
         yield items(*lines)
     if not told and not lines:
         yield Text("No check could be made.", Tone.QUIET)
 
 
 def _table(key: str, caption: str, rows: list[FidelityRow]) -> Table:
-    return table(key, caption, fidelity.TITLES, [_row(row) for row in rows])
+    return table(key, caption, TITLES, [_row(row) for row in rows])
 
 
 def _row(row: FidelityRow) -> Row:
-    title, mean, *others, verdict = fidelity.cells(row)
+    title, mean, *others, verdict = cells(row)
     return Row(
         (Cell(title), Cell(mean, row.mean), *map(Cell, others), Cell(verdict, tone=_TONES.get(row.verdict, Tone.PLAIN)))
     )

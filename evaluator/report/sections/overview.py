@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
-from gpusimbench.evaluator.render.cells import ranked
 from gpusimbench.evaluator.render.document import (
     Beside,
     Block,
@@ -23,6 +22,7 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
+from gpusimbench.evaluator.render.numbers import ranked
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, not_ranked
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render import numbers
-from gpusimbench.evaluator.render.cells import missing
 from gpusimbench.evaluator.render.document import (
     EMPTY,
     NONE,
@@ -23,6 +22,7 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
+from gpusimbench.evaluator.render.numbers import missing
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.sections.rows import facets, named
 from gpusimbench.evaluator.report.source import Source

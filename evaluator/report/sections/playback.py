@@ -5,7 +5,7 @@ from __future__ import annotations
 from markupsafe import Markup
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.player.markup import markup, script, style
+from gpusimbench.evaluator.player.page import markup, script, style
 from gpusimbench.evaluator.render.document import Block, Embed, Item, Items, Section, Text
 from gpusimbench.evaluator.report.sections.rows import without
 from gpusimbench.evaluator.report.source import Source

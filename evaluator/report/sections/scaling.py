@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
@@ -18,7 +17,7 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.render.numbers import NONE, estimate
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.scaling import LONGEST_END, SceneSweeps, scene_sweeps
 from gpusimbench.evaluator.report.sections.rows import facets

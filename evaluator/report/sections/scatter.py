@@ -16,8 +16,7 @@ from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION
-from gpusimbench.evaluator.results.toss_ranking import ranked
+from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.runs.labels import labels, options_given
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.render.cells import ranked
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Facts, Item, Section, facts, items, key_of
+from gpusimbench.evaluator.render.numbers import ranked
 from gpusimbench.evaluator.report.sections.divergence import onset
-from gpusimbench.evaluator.report.sections.rows import Reasons
-from gpusimbench.evaluator.report.sections.values import column_of, of_groups
+from gpusimbench.evaluator.report.sections.rows import Reasons, column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput

@@ -10,8 +10,15 @@ from gpusimbench.evaluator.render.document import Block, Cell, Column, Item, Sec
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.leaders import fastest
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written, lines_of, ordered, without
-from gpusimbench.evaluator.report.sections.values import column_of, of_groups
+from gpusimbench.evaluator.report.sections.rows import (
+    Reasons,
+    Written,
+    column_of,
+    lines_of,
+    of_groups,
+    ordered,
+    without,
+)
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import CAPTURE_OVERHEAD, FPS
 from gpusimbench.evaluator.results.details import Throughput

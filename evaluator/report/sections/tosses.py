@@ -10,8 +10,7 @@ from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Column, Se
 from gpusimbench.evaluator.render.document import Table as Grid
 from gpusimbench.evaluator.render.numbers import figure
 from gpusimbench.evaluator.report.leaders import fastest, speaks_against_pair
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written
-from gpusimbench.evaluator.report.sections.values import column_of, of_groups
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
@@ -22,8 +21,10 @@ from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_LOCAL_POSITION,
     TOSS_POSITION,
     TOSS_ROTATION,
+    Ranked,
+    beaten_by,
+    ranked,
 )
-from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, ranked
 from gpusimbench.schemas.text import plural
 
 _LEGEND = (

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Row, Section, Table, Tone, key_of, table
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import FEW, Reasons
-from gpusimbench.evaluator.report.sections.values import of_groups
+from gpusimbench.evaluator.report.sections.rows import FEW, Reasons, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.validity import BufferUse, Counted

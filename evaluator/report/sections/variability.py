@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Text, Tone, items, key_of
 from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written
-from gpusimbench.evaluator.report.sections.values import column_of, of_groups, value
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, column_of, of_groups, value
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
 from gpusimbench.evaluator.results.details import (
@@ -33,6 +31,7 @@ from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Estimate, Metric
 from gpusimbench.evaluator.results.metric import Table as TableOf
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.statistics.regimes import REGIME_MEANING
 from gpusimbench.schemas.text import plural
 
 _BITS = "Environments and runs with other bits, and how far apart they are"

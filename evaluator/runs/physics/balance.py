@@ -7,8 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from gpusimbench.evaluator.metrics.physics.energy import FrictionCone, Rises, mechanical_energy
-from gpusimbench.evaluator.metrics.physics.kinematics import Displacements
+from gpusimbench.evaluator.metrics.physics.energy import Displacements, FrictionCone, Rises, mechanical_energy
 from gpusimbench.evaluator.metrics.physics.solids import FixedBox
 from gpusimbench.evaluator.metrics.physics.vectors import largest, square
 from gpusimbench.evaluator.missing import Missing

@@ -1,12 +1,16 @@
-"""How deep bodies are in fixed ones and in each other, at rest and ever."""
+"""How deep bodies are in fixed ones and in each other, where they end, and how many cubes went through the floor."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from gpusimbench.evaluator.metrics.physics.solids import (  # fmt: skip
+from gpusimbench.evaluator.metrics.lost_cubes import Sinking, may_have_sunk
+from gpusimbench.evaluator.metrics.physics.solids import (
     Fixed,
+    FixedBox,
     box_distance,
     corner_depth,
     nearest,
@@ -14,11 +18,15 @@ from gpusimbench.evaluator.metrics.physics.solids import (  # fmt: skip
     rotations,
     sphere_depth,
 )
-from gpusimbench.evaluator.metrics.physics.vectors import square
+from gpusimbench.evaluator.metrics.physics.vectors import largest, length, square
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.scene import radius_of, supports_of
+from gpusimbench.evaluator.runs.outcome import OutcomeArray, outcome_of
 from gpusimbench.evaluator.runs.physics.facts import Check, Facts, measured
 from gpusimbench.evaluator.runs.physics.setting import Setting
 from gpusimbench.evaluator.runs.physics.states import States
+from gpusimbench.evaluator.runs.positions import in_env_frame, no_states
 
 Array = npt.NDArray[np.float64]
 
@@ -26,6 +34,10 @@ REST = 0.01
 """Speed of every point of a body that counts as lying still [m/s]."""
 
 _CHECKS = (Check.DEPTH_REST, Check.DEPTH_EVER, Check.PAIR_REST, Check.PAIR_EVER)
+
+Mask = npt.NDArray[np.bool_]
+
+_ROW_BYTES = 16 << 20  # of positions read at a time
 
 
 class Depths:
@@ -152,3 +164,91 @@ class Depths:
             ]
             found.append(float(overlap(boxes[0], boxes[1]).max(initial=0.0)))
         return found
+
+
+def end_facts(setting: Setting, last: States) -> Facts:
+    """The fastest motion and the fastest spin of cubes above a floor, once the scene's sample time is over."""
+    checks = (Check.END_SPEED, Check.END_SPIN)
+    time = float(last.step[-1]) * setting.dt
+    if time < setting.sample_time * (1.0 - 1e-9):
+        why = f"the states end at {time:g} s, before {setting.sample_time:g} s"
+        return dict.fromkeys(checks, Missing(why))
+    if last.linear is None or last.angular is None:
+        return dict.fromkeys(checks, Missing("velocities were not recorded"))
+    cubes = [i for i, body in enumerate(setting.world.moving) if body.half]
+    on_floor = _above_a_floor(setting, last.position[-1][:, cubes])
+    if not on_floor.any():
+        return dict.fromkeys(checks, Missing("no cube is above a floor at the end"))
+    judged = on_floor.any(axis=1)
+    speed, spin = (np.where(on_floor, length(of[-1][:, cubes]), 0.0) for of in (last.linear, last.angular))
+    note = f"{np.count_nonzero(on_floor)} of {on_floor.size} cubes are above a floor"
+    slowest = REST / max(setting.world.moving[i].reach for i in cubes)
+    spins = f"{np.count_nonzero(spin > slowest)} of them spin"
+    return {
+        Check.END_SPEED: measured(
+            speed.max(axis=1)[judged], low=None, high=0.0, tolerance=REST, of="1 cm/s", note=note
+        ),
+        Check.END_SPIN: measured(
+            spin.max(axis=1)[judged], low=None, high=0.0, tolerance=slowest, of="1 cm/s of a corner",
+            note=spins,
+        ),
+    }  # fmt: skip
+
+
+def _above_a_floor(setting: Setting, place: Array) -> Mask:
+    # [env, cube]
+    found = np.zeros(place.shape[:2], dtype=bool)
+    for floor in setting.world.fixed:
+        if floor.level:
+            above = place[..., 2] >= floor.top
+            if isinstance(floor.solid, FixedBox):
+                above &= largest(np.abs(floor.solid.local(place)[..., :2]) - floor.solid.half[:2]) <= 0
+            found |= above
+    return found
+
+
+@dataclass(frozen=True)
+class Sunk:
+    """Cubes that went through what should have held them up, by the last captured step.
+
+    per_env     cubes in each environment
+    cubes       that an environment has
+    last_step   that they were followed to
+    first_step  at which the first was through; None where none was
+    """
+
+    per_env: tuple[int, ...]
+    cubes: int
+    last_step: int
+    first_step: int | None
+
+
+def count_sunk(recording: Recording) -> Sunk | Missing:
+    """Count the sunk cubes of each environment; Missing says why they cannot be counted."""
+    fields = outcome_of(recording)
+    if isinstance(fields, Missing):
+        return fields
+    if "size" in recording.configuration.varied:
+        return Missing("sizes of bodies differ from environment to environment (--vary)")
+    array = OutcomeArray(recording, fields)
+    if len(array) < 2:
+        return no_states(recording)
+    supports = supports_of(recording)
+    if not supports:
+        return Missing("scene.json describes no level surface (a fixed plane or box) that bodies could go through")
+    last = in_env_frame(recording, array.field, array.at_step(int(array.steps[-1])))
+    if last.shape[-1] < 3:
+        return Missing("heights were not recorded")
+    n_env, cubes = last.shape[:2]
+    last_step = int(array.steps[-1])
+    radius = max(radius_of(recording, field.group) for field in fields)
+    if not may_have_sunk(last, supports, radius):
+        return Sunk((0,) * n_env, cubes, last_step, None)
+    following = Sinking(in_env_frame(recording, array.field, array.at_step(int(array.steps[0]))), supports, radius)
+    count = max(1, _ROW_BYTES // last.nbytes)
+    for begin in range(1, len(array), count):
+        for row in array.read(slice(begin, begin + count)):
+            following.feed(in_env_frame(recording, array.field, row))
+    found = following.sank
+    first = int(array.steps[following.since[found].min()]) if found.any() else None
+    return Sunk(tuple(np.count_nonzero(found, axis=1).tolist()), cubes, last_step, first)

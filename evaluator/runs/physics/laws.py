@@ -9,10 +9,9 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.canonical.ball_drop import ball_laws
 from gpusimbench.evaluator.runs.physics.canonical.blocks import block_laws
 from gpusimbench.evaluator.runs.physics.canonical.dice import dice_laws
-from gpusimbench.evaluator.runs.physics.canonical.double_pendulum import double_pendulum_laws
 from gpusimbench.evaluator.runs.physics.canonical.four_bar import four_bar_laws
 from gpusimbench.evaluator.runs.physics.canonical.free_body import free_body_laws
-from gpusimbench.evaluator.runs.physics.canonical.pendulum import pendulum_laws
+from gpusimbench.evaluator.runs.physics.canonical.pendulum import double_pendulum_laws, pendulum_laws
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.provenance import REAL

@@ -9,19 +9,16 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.outcome import joint_fields, positional
 from gpusimbench.evaluator.runs.physics.balance import Balance
-from gpusimbench.evaluator.runs.physics.depth import Depths
-from gpusimbench.evaluator.runs.physics.ending import end_facts
+from gpusimbench.evaluator.runs.physics.depth import Depths, Sunk, count_sunk, end_facts
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Fact, Facts, PhysicsFacts, Revision, measured
 from gpusimbench.evaluator.runs.physics.fall import fall_facts
 from gpusimbench.evaluator.runs.physics.joints import joint_facts, limits_of
 from gpusimbench.evaluator.runs.physics.laws import laws_of
 from gpusimbench.evaluator.runs.physics.setting import Setting
-from gpusimbench.evaluator.runs.physics.slides import Slides
-from gpusimbench.evaluator.runs.physics.slope import slope_facts
+from gpusimbench.evaluator.runs.physics.slope import Slides, slope_facts
 from gpusimbench.evaluator.runs.physics.states import States, Walk, drawn_envs
 from gpusimbench.evaluator.runs.physics.world import world_of
 from gpusimbench.evaluator.runs.positions import no_states
-from gpusimbench.evaluator.runs.sunk_cubes import Sunk, count_sunk
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.provenance import REAL
@@ -35,7 +32,7 @@ _NO_JOINTS = Missing("the scene has no joints")
 def physics_of(recording: Recording, sank: Sunk | Missing | None = None, revision: Revision = NEWEST) -> PhysicsFacts:
     """What can be measured of a usable recording.
 
-    sank      what evaluator.runs.sunk_cubes.count_sunk found, where it is known already
+    sank      what evaluator.runs.physics.depth.count_sunk found, where it is known already
     revision  of the tolerances
 
     Raises DamagedRecording where the file does not hold what it should.

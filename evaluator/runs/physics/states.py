@@ -100,15 +100,14 @@ class Walk:
         origins = np.array(simulation.env_origins) if simulation and simulation.env_origins else np.zeros((0, 3))
         return float(max((np.abs(origins[a : b + 1]).max(initial=0.0) for a, b in self._envs), default=0.0))
 
-    def chunks(self, first: int = 0, stop: int | None = None) -> Iterator[States]:
-        """Rows from `first` to `stop`, a block of the file at a time, or less where that is many megabytes; the initial
-        state, a block of its own, is with the first of the others."""
-        end = len(self) if stop is None else min(stop, len(self))
+    def chunks(self) -> Iterator[States]:
+        """All rows, a block of the file at a time, or less where that is many megabytes; the initial state, a block of
+        its own, is with the first of the others."""
         n_env = sum(last - begin + 1 for begin, last in self._envs)
         rows = max(1, min(_CHUNK_ROWS, _CHUNK_BYTES // (n_env * max(1, len(self.items)) * 3 * 8)))
-        begin = first
-        while begin < end:
-            after = min(end, 1 + rows * (1 + max(0, begin - 1) // rows))
+        begin = 0
+        while begin < len(self):
+            after = min(len(self), 1 + rows * (1 + max(0, begin - 1) // rows))
             yield self.rows(begin, after)
             begin = after
 

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from gpusimbench import schemas
 from gpusimbench.evaluator.json_values import brief
-from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
@@ -25,6 +24,7 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.markdown import render_markdown
+from gpusimbench.evaluator.render.numbers import estimate
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.sections.variability import types_of
 from gpusimbench.evaluator.report.verdicts import QUESTIONS
@@ -34,9 +34,8 @@ from gpusimbench.evaluator.results.group_metrics import REGIME
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import shown_status
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.evaluator.share.dataset.citation import Publication, quoted
+from gpusimbench.evaluator.share.dataset.citation import HUB_NAMES, Publication, quoted
 from gpusimbench.evaluator.share.dataset.contents import LookedAt, runs_of
-from gpusimbench.evaluator.share.dataset.licences import HUB_NAMES
 from gpusimbench.schemas.text import cut, plural
 
 CARD = "README.md"

@@ -10,10 +10,18 @@ from platform import python_version
 from typing import Any
 
 from gpusimbench import schemas
-from gpusimbench.evaluator.compute.cache.store import version_of
+from gpusimbench.evaluator.compute.cache import version_of
 from gpusimbench.evaluator.json_values import dump
-from gpusimbench.evaluator.share.dataset.contents import BROKEN, DAMAGED, INTEGRITY, WHOLE, Sum
-from gpusimbench.evaluator.share.dataset.folder import MAX_FILES, collisions, why_not
+from gpusimbench.evaluator.share.dataset.contents import (
+    BROKEN,
+    DAMAGED,
+    INTEGRITY,
+    MAX_FILES,
+    WHOLE,
+    Sum,
+    collisions,
+    why_not,
+)
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 

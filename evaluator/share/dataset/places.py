@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from gpusimbench.evaluator.read.addresses import fetched
-from gpusimbench.evaluator.share.dataset.folder import MAX_FILES, Found, find
+from gpusimbench.evaluator.share.dataset.contents import MAX_FILES, Found, find
 from gpusimbench.schemas.errors import Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place, chain
 

@@ -1,28 +1,35 @@
-"""gsb-share card: the files that describe a folder of recordings, written into it."""
+"""gsb-share card: the files that describe a folder, written into it; and what a publisher may not want to publish."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import getpass
+import re
+import socket
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.parquet import METRICS, RUNS, parquet_tables, polars
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.share.dataset.card import CARD, KEYWORDS, card
-from gpusimbench.evaluator.share.dataset.citation import CITATION, Publication, citation
+from gpusimbench.evaluator.share.dataset.citation import CITATION, OWN, Publication, citation
 from gpusimbench.evaluator.share.dataset.contents import (
+    Found,
     LookedAt,
     Sum,
+    collisions,
     evaluate_set,
+    find,
     identity,
     is_recording,
     labels_of,
     look_at,
     sum_of,
     sum_of_bytes,
+    why_not,
 )
-from gpusimbench.evaluator.share.dataset.folder import Found, collisions, find, why_not
-from gpusimbench.evaluator.share.dataset.licences import OWN
 from gpusimbench.evaluator.share.dataset.manifest import (
     CHECKSUMS,
     MANIFEST,
@@ -35,11 +42,19 @@ from gpusimbench.evaluator.share.dataset.manifest import (
     versions,
     write_sums,
 )
-from gpusimbench.evaluator.share.dataset.personal import Personal, personal
 from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import GsbError, NothingComparable, UsageError
+from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.text import few, plural
 from gpusimbench.schemas.writing import write_files
+
+_HOMES = re.compile(
+    r"(?:/(?:home|Users|root|data/home|mnt/home)/[^\s\"':;,<>\\]{1,80}|[A-Z]:\\+Users\\+[^\\\s\"]{1,40})"
+)
+_MAIL = re.compile(r"[A-Za-z0-9._%+-]{1,64}@[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63}){1,4}")
+_COMMON = {"localhost", "root", "user", "ubuntu", "admin", "test", "home"}
+_SHORTEST = 4
+_MOST = 20  # of one recording
 
 DESCRIBING = (CARD, CITATION, METRICS, RUNS)
 """Files that a card is made of, beside the manifest and the checksums."""
@@ -47,6 +62,58 @@ DESCRIBING = (CARD, CITATION, METRICS, RUNS)
 OURS = (*DESCRIBING, MANIFEST, CHECKSUMS)
 
 _MOST_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Personal:
+    """Something personal that a recording holds.
+
+    what   "path of a home folder", "address of mail", "name of this host", "name of this user"
+    text   itself
+    where  the attachment
+    """
+
+    what: str
+    text: str
+    where: str
+
+
+def personal(path: Place) -> list[Personal]:
+    """What is found in the attachments of a recording and in what it says of its end; nothing where it is damaged."""
+    found: dict[Personal, None] = {}
+    with suppress(GsbError):
+        recording = Recording(path)
+        texts = [(name, recording.attachment(name) or b"") for name in recording.attachment_names()]
+        texts.append(("the reason of its end", recording.reason.encode(errors="replace")))
+        for where, data in texts:
+            for what, text in _in(data.decode(errors="replace")):
+                found[Personal(what, text, where)] = None
+                if len(found) >= _MOST:
+                    break
+    return list(found)
+
+
+def _in(text: str) -> Iterator[tuple[str, str]]:
+    for match in _HOMES.finditer(text):
+        yield "path of a home folder", match[0]
+    for match in _MAIL.finditer(text):
+        yield "address of mail", match[0]
+    for what, name in _of_this_machine():
+        if re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", text):
+            yield what, name
+
+
+def _of_this_machine() -> Iterator[tuple[str, str]]:
+    for what, name in (("name of this host", socket.gethostname()), ("name of this user", _user())):
+        if len(name) >= _SHORTEST and name.lower() not in _COMMON:
+            yield what, name
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # of a user that nobody knows, as in many a container
+        return ""
 
 
 @dataclass(frozen=True)

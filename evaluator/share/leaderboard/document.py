@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.render.cells import estimate, missing, ranked
 from gpusimbench.evaluator.render.document import (
     EMPTY,
     Block,
@@ -22,6 +21,7 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.document import Section as Part
+from gpusimbench.evaluator.render.numbers import estimate, missing, ranked
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.sections.rows import facets
 from gpusimbench.evaluator.report.verdicts import QUESTIONS
@@ -29,7 +29,7 @@ from gpusimbench.evaluator.report.words import amount, shared
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.runs.groups import is_instrument
-from gpusimbench.evaluator.share.leaderboard import words
+from gpusimbench.evaluator.share.leaderboard import formats
 from gpusimbench.evaluator.share.leaderboard.standing import ELSEWHERE, Board, Section
 from gpusimbench.evaluator.share.leaderboard.standing import Row as Standing
 from gpusimbench.schemas.text import cut, plural
@@ -154,7 +154,7 @@ def _timed_over(section: Section) -> str:
 
 
 def _scene(section: Section) -> str:
-    return f"dt {section.dt:g} s, scene {words.short(section.scene_hash)}"
+    return f"dt {section.dt:g} s, scene {formats.short(section.scene_hash)}"
 
 
 def _ranking(key: str, section: Section) -> Table:
@@ -165,7 +165,7 @@ def _ranking(key: str, section: Section) -> Table:
     ]  # fmt: skip
     rows = []
     for row in section.ranked:
-        most, ends = words.n_env_max(row)
+        most, ends = formats.n_env_max(row)
         cells = (
             _who(row), Cell(str(row.place), float(row.place or 0)), _speed(row), _envs(row), _memory(row),
             Cell(most, notes=(ends,)) if most else EMPTY,
@@ -194,7 +194,7 @@ def _settings(key: str, of: Sequence[Standing]) -> Table:
     for row in of:
         work = row.result.timed
         solver = [f"{name} {value}" for name, value in work.settings.items() if value]
-        said = (_lines(solver), _lines(words.settings(row)), _lines(words.unmet(row)))
+        said = (_lines(solver), _lines(formats.settings(row)), _lines(formats.unmet(row)))
         rows.append(Row((Cell(row.name, notes=(plural(row.key.n_env, "env", spec=","),)), *said), facets(row.key)))
     return table(key, "", ("simulator", "solver", "switches in force", f"rules of {PROTOCOL} that are not met"), rows)
 
@@ -208,7 +208,7 @@ def _files(key: str, section: Section) -> Table:
     for row in section.rows:
         for entry in row.entries:
             ended = Cell(entry.status, tone=Tone.PLAIN if entry.status == "complete" else Tone.BAD)
-            of = Cell(words.short(entry.replay_of), code=True) if entry.replay_of else EMPTY
+            of = Cell(formats.short(entry.replay_of), code=True) if entry.replay_of else EMPTY
             who = Cell(row.name, notes=(plural(row.key.n_env, "env", spec=","),))
             cells = (who, Cell(entry.name, code=True), Cell(entry.content_hash or "no hash", code=True), ended, of)
             rows.append(Row(cells, facets(row.key)))
@@ -244,13 +244,13 @@ def _memory(row: Standing) -> Cell:
 
 def _checked(row: Standing) -> Cell:
     """What the rules say of its recordings, what did not hold, and which rules of the protocol are not met."""
-    unmet = words.unmet_in_short(row)
+    unmet = formats.unmet_in_short(row)
     beyond = (unmet,) if unmet else ()
-    return Cell(words.checked(row), notes=(*row.gates, *beyond), tone=Tone.BAD if row.gates else Tone.PLAIN)
+    return Cell(formats.checked(row), notes=(*row.gates, *beyond), tone=Tone.BAD if row.gates else Tone.PLAIN)
 
 
 def _reproduced(row: Standing) -> Cell:
-    return Cell(words.reproduced(row.reproduction), tone=Tone.GOOD if row.reproduction.reproduced else Tone.PLAIN)
+    return Cell(formats.reproduced(row.reproduction), tone=Tone.GOOD if row.reproduction.reproduced else Tone.PLAIN)
 
 
 def _how() -> Part:

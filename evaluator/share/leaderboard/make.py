@@ -6,18 +6,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gpusimbench.evaluator.compute.work import Work
-from gpusimbench.evaluator.inputs.known_files import read_all
-from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all
 from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.read.stamp import stamp_of
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.evaluator.share.dataset.contents import DAMAGED, WHOLE, Checkup, LookedAt, check_up, is_recording
-from gpusimbench.evaluator.share.dataset.folder import find
-from gpusimbench.evaluator.share.leaderboard.csv import dump_csv
+from gpusimbench.evaluator.share.dataset.contents import DAMAGED, WHOLE, Checkup, LookedAt, check_up, find, is_recording
 from gpusimbench.evaluator.share.leaderboard.document import leaderboard_document
-from gpusimbench.evaluator.share.leaderboard.json import KIND, dump_json
+from gpusimbench.evaluator.share.leaderboard.formats import KIND, dump_csv, dump_json
 from gpusimbench.evaluator.share.leaderboard.reproduction import replays_of
 from gpusimbench.evaluator.share.leaderboard.standing import Board, sections
 from gpusimbench.schemas import checks

@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.json_values import brief
-from gpusimbench.evaluator.results.claims import every
+from gpusimbench.evaluator.missing import every
 from gpusimbench.evaluator.runs.run import Run
 
 _MACHINE = ("cpu", "usable_threads", "memory_bytes")

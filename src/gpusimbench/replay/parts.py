@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.evaluator.read.episode_table import episode_table, has_episodes, rows_of
-from gpusimbench.evaluator.read.episodes import episodes
+from gpusimbench.evaluator.read.episodes import episode_table, episodes, has_episodes, rows_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.fields import GIVEN, field_of
 from gpusimbench.recorder.vector.infos import array_name

@@ -8,8 +8,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gpusimbench.evaluator.diff.array_sections import arrays_document
 from gpusimbench.evaluator.diff.arrays import Rows, compare_arrays
+from gpusimbench.evaluator.diff.sections import arrays_document
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import leaves, mapped, on_host

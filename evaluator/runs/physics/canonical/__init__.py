@@ -1,1 +1,1 @@
-"""The laws of scenes whose motion is known in closed form, a scene a module."""
+"""The laws of scenes whose motion is known in closed form, a kind of scene a module."""

@@ -1,15 +1,21 @@
-"""Checks of mechanics: which held for base and are broken for head, and the other way round."""
+"""What is counted in runs: those that did not end well, and those that break a check of mechanics."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from gpusimbench.evaluator.compare.finding import Change, Counted, Finding, Question, not_compared
+from gpusimbench.evaluator.compare.matching import Pair
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.report.words import trouble
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
 from gpusimbench.evaluator.results.metric import Axis, Direction
+from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Measured
+from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.evaluator.statistics.families import fisher
 from gpusimbench.schemas.text import plural
 
 _NAME, _TITLE = "mechanics", "checks of mechanics"
@@ -75,3 +81,33 @@ def _broken(check: Check, runs: Runs) -> tuple[int, int]:
     found = [run.physics.facts.get(check) for run in runs if not isinstance(run.physics.facts, Missing)]
     facts = [fact for fact in found if isinstance(fact, Measured)]
     return sum(fact.broken > 0 for fact in facts), len(facts)
+
+
+def compare_validity(pair: Pair) -> Finding | Question:
+    """Complete runs of either side.
+
+    A side without any other is told apart from one with some as a fact; two sides with some, by their shares.
+    """
+    counts = [(len(g.recordings) - len(g.complete), len(g.recordings)) for g in (pair.base, pair.head)]
+    (bad, n1), (worse, n2) = counts
+    finding = Finding(
+        Axis.VALIDITY, "complete_runs", "complete runs", Change.SAME, Direction.HIGHER,
+        base=float(n1 - bad), head=float(n2 - worse), n=(n1, n2), said=(_ended(pair.base), _ended(pair.head)),
+        method="runs that ended well and lost no data",
+    )  # fmt: skip
+    if bad and worse:
+        change = Change.REGRESSION if worse / n2 > bad / n1 else Change.IMPROVEMENT
+        return Counted(replace(finding, change=change), (bad, n1), (worse, n2), of="that are not")
+    if not bad and not worse:
+        return finding
+    chance = fisher((bad, n1), (worse, n2))
+    return replace(
+        finding,
+        change=Change.REGRESSION if worse else Change.IMPROVEMENT,
+        note=f"if both sides failed with one probability, failures would be as uneven in {chance:.2g} of all cases",
+    )
+
+
+def _ended(group: Group[Run]) -> str:
+    found = f"{len(group.complete)} of {len(group.recordings)}"
+    return f"{found}; {said}" if (said := trouble(group)) else found

@@ -1,8 +1,9 @@
-"""Figures as PDF: vectors, text as text, its font inside.
+"""Every figure of the report as files for a paper: SVG, PDF and the numbers that it draws.
 
-The figures of this project are made of few kinds of elements, and `style.standalone` writes their looks into them, so
-that they are drawn here one by one; what is not known is an error and not left out. The font is Bitstream Vera, which
-comes with reportlab, set somewhat narrower: the figures are laid out for fonts of that width.
+A PDF has vectors, text as text, and its font inside. The figures of this project are made of few kinds of elements, and
+`style.standalone` writes their looks into them, so that they are drawn here one by one; what is not known is an error
+and not left out. The font is Bitstream Vera, which comes with reportlab, set somewhat narrower: the figures are laid
+out for fonts of that width.
 """
 
 from __future__ import annotations
@@ -11,12 +12,23 @@ import io
 import itertools
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
+from gpusimbench.evaluator.render import table_files
+from gpusimbench.evaluator.render.csv import to_csv
+from gpusimbench.evaluator.render.document import Figure
 from gpusimbench.evaluator.render.figures import palette
+from gpusimbench.evaluator.render.figures.matrix import hatch
+from gpusimbench.evaluator.render.figures.style import standalone
+from gpusimbench.evaluator.report.document import report
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.text import printable
+from gpusimbench.schemas.writing import write_files
 
 _POINTS_PER_PIXEL = 0.75
 _FONT, _FONT_FILE = "Vera", "Vera.ttf"
@@ -27,6 +39,13 @@ _LOWERED = str.maketrans("\u2080\u2081\u2082\u2083\u2084\u2085\u2086\u2087\u2088
 _SPACES = str.maketrans("\u2009\u202f\u00a0", "   ")
 
 Attributes = Mapping[str, str]
+
+INDEX = "figures.tex"
+
+HEAD = """\
+% Figures of an evaluation by gpusimbench; needs \\usepackage{graphicx}, pdfLaTeX or a newer engine.
+% Each file lies beside this one; its SVG and the numbers that it draws have the same name.
+"""
 
 
 def reportlab() -> Any:
@@ -248,3 +267,44 @@ def _turned(at: Attributes) -> float:
 
 def _colour(name: str) -> Any:
     return import_module("reportlab.lib.colors").HexColor(name)
+
+
+def write_figures(evaluation: Evaluation, folder: Path, *, published: bool) -> list[Path]:
+    """Write all figures that have something to show; returns the files' paths, `figures.tex` last.
+
+    NAME.svg, NAME.pdf  light theme; a white ground in the SVG, none in the PDF
+    NAME.csv            what it draws, where it says so
+    figures.tex         a figure environment for each, to be taken apart
+
+    Raises:
+        UsageError: reportlab is not installed.
+        GsbError: a file cannot be written; those of an earlier time are as they were.
+    """
+    files: dict[Path, bytes | str] = {}
+    environments = [HEAD]
+    for name, picture in named(_pictures(Source(evaluation, published, ""))):
+        svg = standalone(str(picture.svg), hatch())
+        files[folder / f"{name}.svg"] = svg
+        files[folder / f"{name}.pdf"] = to_pdf(svg, printable(picture.title))
+        if picture.numbers.titles:
+            files[folder / f"{name}.csv"] = to_csv(picture.numbers.titles, picture.numbers.rows)
+        environments.append(table_files.figure(name, ". ".join(filter(None, (picture.title, picture.caption)))))
+    files[folder / INDEX] = "\n".join(environments)
+    write_files(files)
+    return list(files)
+
+
+def named(pictures: Iterable[Figure]) -> Iterator[tuple[str, Figure]]:
+    """Pictures with the names of their files, no name twice."""
+    taken: set[str] = set()
+    for picture in pictures:
+        name, number = picture.file_name, 1
+        while name in taken:
+            number += 1
+            name = f"{picture.file_name}-{number}"
+        taken.add(name)
+        yield name, picture
+
+
+def _pictures(source: Source) -> Iterator[Figure]:
+    yield from (one for one in report(source).figures() if one.svg and one.key)

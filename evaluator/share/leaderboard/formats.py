@@ -1,4 +1,4 @@
-"""A leaderboard's figures as words: of a row, for the page and for tables; of all of it, for a terminal."""
+"""A leaderboard's figures: as words, as CSV with a line for each row, and as JSON with all that is behind each."""
 
 from __future__ import annotations
 
@@ -6,18 +6,37 @@ import json
 import re
 from collections.abc import Iterator
 from functools import cache
+from typing import Any
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
-from gpusimbench.evaluator.render.cells import ranked
+from gpusimbench.evaluator.json_values import dump, picked, values_of
+from gpusimbench.evaluator.missing import known
+from gpusimbench.evaluator.render.csv import Cell, to_csv
+from gpusimbench.evaluator.render.numbers import ranked
 from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.evidence_json import estimate_record
+from gpusimbench.evaluator.results.details import Throughput
+from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.share.dataset.contents import BROKEN
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
-from gpusimbench.evaluator.share.leaderboard.standing import Board, Row
+from gpusimbench.evaluator.share.leaderboard.standing import Board, Row, Section
+from gpusimbench.schemas import __version__
 from gpusimbench.schemas.text import cut, plural
 
 _SHORT = 10
 _LONGEST = 100
 _YES_OR_NO = re.compile(r"^found (yes|no) ")
+
+COLUMNS = (
+    "scene", "device", "dt_s", "place", "simulator", "version", "determinism", "label", "n_env", "runs", "recordings",
+    "fps", "fps_sd", "fps_low", "fps_high", "memory", "memory_unit", "n_env_max", "distinct_envs", "distinct_runs",
+    "type", "check", "reproduced", "replays", "gates", "no_place", "content_hashes",
+    *(column.title for column in timed.ALL),
+)  # fmt: skip
+
+SCHEMA_VERSION = 1
+KIND = "gpusimbench leaderboard"
+"""By which a leaderboard's document is told from other files of that name."""
 
 
 def leaderboard_lines(board: Board) -> Iterator[str]:
@@ -114,3 +133,78 @@ def settings(row: Row) -> list[str]:
 
 def _brief(value: object) -> str:
     return cut(value if isinstance(value, str) else json.dumps(value, sort_keys=True), 60)
+
+
+def dump_csv(board: Board) -> str:
+    """A line for each row, with the names of the columns first."""
+    return to_csv(COLUMNS, (_values(section, row) for section in board.sections for row in section.rows))
+
+
+def _values(section: Section, row: Row) -> tuple[Cell, ...]:
+    key, metrics = row.key, row.result.metrics
+    low, high = row.fps.ci95 or (None, None)
+    return (
+        section.scene, section.device, section.dt, row.place, key.simulator, key.version, key.determinism,
+        row.result.label, key.n_env, len(row.result.group.complete), len(row.entries),
+        known(row.fps.value), row.fps.sd, low, high, known(row.memory.value), row.memory.unit,
+        row.sweep.n_max if row.sweep else None,
+        *(known(metrics[name].value) for name in ("distinct_envs", "distinct_runs", "regime_published")),
+        checked(row), row.reproduction.reproduced, row.reproduction.count,
+        "; ".join(row.gates), row.no_place, " ".join(entry.content_hash for entry in row.entries),
+        *timed.cells(timed.ALL, row.result.timed),
+    )  # fmt: skip
+
+
+def dump_json(board: Board) -> str:
+    """The document."""
+    return dump(
+        values_of({
+            "schema_version": SCHEMA_VERSION,
+            "kind": KIND,
+            "gpusimbench": __version__,
+            "title": board.title,
+            "sample_time_s": board.sample_time,
+            "sections": [_section(section) for section in board.sections],
+            "unreadable": [{"file": name, "why": why} for name, why in board.unreadable],
+            "notes": board.notes,
+        })
+    )  # fmt: skip
+
+
+def _section(section: Section) -> dict[str, Any]:
+    return {
+        "scene": section.scene,
+        "scene_sha256": section.scene_hash,
+        "device": section.device,
+        "dt_s": section.dt,
+        "timed": section.timed,
+        "rows": [_row(row) for row in section.rows],
+    }
+
+
+def _row(row: Row) -> dict[str, Any]:
+    key, metrics = row.key, row.result.metrics
+    return {
+        **picked(row, "place no_place"),
+        "label": row.result.label,
+        **picked(key, "simulator version determinism"),
+        "options": json.loads(key.options),
+        "switches": json.loads(key.switches or "{}"),
+        **picked(key, "n_env warmup timed_steps"),
+        "runs": row.result.group.outcomes,
+        "throughput": _metric(row.fps),
+        **picked(row.fps.of(Throughput), "co_tenants speeds"),
+        "timed": timed.timed_record(row.result.timed),
+        "memory": _metric(row.memory),
+        "n_env_max": row.sweep.n_max if row.sweep else None,
+        "sweep_ends": row.sweep.ends if row.sweep else None,
+        **{name: _metric(metrics[name]) for name in ("distinct_envs", "distinct_runs", "regime_published")},
+        "gates": row.gates,
+        "protocol": deviations(row),
+        "reproduction": row.reproduction,
+        "recordings": row.entries,
+    }
+
+
+def _metric(metric: Estimate) -> dict[str, Any]:
+    return {"name": metric.name, **estimate_record(metric)}

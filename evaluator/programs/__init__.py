@@ -1,1 +1,0 @@
-"""Runs of a user's program, held against each other: gsb-run."""

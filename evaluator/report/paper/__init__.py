@@ -1,1 +1,0 @@
-"""What of an evaluation goes into a paper: figures and tables as files."""
