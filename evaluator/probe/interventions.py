@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import Arms
 from gpusimbench.evaluator.probe.finding import Asked, first_of, same_slots, told
 from gpusimbench.evaluator.probe.pairs import Pairs, held
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.schemas.treatment import Intervention
+from gpusimbench.schemas.treatment import KINDS, Intervention
 
 
-def poison(arms: Arms) -> Asked | Missing:
-    """Environments beside one that is not finite."""
-    return _left_alone(arms, "poison", "one that is not finite")
+def left_alone(kind: str, others: str) -> Callable[[Arms], Asked | Missing]:
+    """The question of environments that are left alone, beside others that are treated so, in words."""
+
+    def ask(arms: Arms) -> Asked | Missing:
+        beside = _beside(arms, kind)
+        if isinstance(beside, Missing):
+            return beside
+        base, recording, done = beside
+        envs = sorted({*range(arms.n_env)} - {*done.treated(arms.n_env)})
+        if not envs:
+            return Missing("needs two environments")
+        return told(held(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside {others}")
+
+    return ask
 
 
-def bystanders(arms: Arms) -> Asked | Missing:
-    """Environments that are left alone while others are reset."""
-    return _left_alone(arms, "reset", "others that are reset")
+def goes_on(kind: str, what: str) -> Callable[[Arms], Asked | Missing]:
+    """The question of all environments, that go on after they were treated so, in words with {step} and {more}."""
 
+    def ask(arms: Arms) -> Asked | Missing:
+        beside = _beside(arms, kind)
+        if isinstance(beside, Missing):
+            return beside
+        base, recording, done = beside
+        said = what.format(step=done.step, more=done.more)
+        return told(held(Pairs(base, recording, same_slots(range(arms.n_env)))), said)
 
-def _left_alone(arms: Arms, kind: str, others: str) -> Asked | Missing:
-    beside = _beside(arms, kind)
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    envs = [env for env in range(arms.n_env) if not done.treated(env)]
-    if not envs:
-        return Missing("needs two environments")
-    return told(held(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside {others}")
+    return ask
 
 
 def fresh(arms: Arms) -> Asked | Missing:
@@ -39,19 +50,9 @@ def fresh(arms: Arms) -> Asked | Missing:
     if not arms.plain:
         return Missing("needs a run whose environments begin as a reset leaves them")
     recording, done = treated
-    envs = [env for env in range(arms.n_env) if done.treated(env)]
+    envs = done.treated(arms.n_env)
     pairs = Pairs(recording, arms.plain[0], same_slots(envs), ahead=done.step, first=1)
     return told(held(pairs), f"{len(envs)} environments after a reset at step {done.step}, and fresh ones")
-
-
-def restored(arms: Arms) -> Asked | Missing:
-    """All environments after an excursion from which they were restored."""
-    beside = _beside(arms, "excursion")
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    said = f"saved at step {done.step}, {done.more} further steps, restored"
-    return told(held(Pairs(base, recording, same_slots(range(arms.n_env)))), said)
 
 
 def process(arms: Arms) -> Asked | Missing:
@@ -66,21 +67,11 @@ def process(arms: Arms) -> Asked | Missing:
     return told(held(pairs), f"a snapshot of step {step}, restored in another process, and the run that saved it")
 
 
-def set_states(arms: Arms) -> Asked | Missing:
-    """All environments after they were given the positions and velocities that they had."""
-    beside = _beside(arms, "set")
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    found = held(Pairs(base, recording, same_slots(range(arms.n_env))))
-    return told(found, f"set at step {done.step} to the state that they had")
-
-
 def _treated(arms: Arms, kind: str) -> tuple[Recording, Intervention] | Missing:
     found = arms.treated.get(kind)
     if found is None:
         why = next((why for how, why in arms.failed.items() if f" {kind}@" in how), "")
-        return Missing(f"its run is {why}" if why else f"needs a run with --intervene {kind}@STEP")
+        return Missing(f"its run is {why}" if why else f"needs a run with --intervene {KINDS[kind].form}")
     return found, Intervention.parse(found.configuration.intervention)
 
 

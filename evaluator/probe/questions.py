@@ -18,7 +18,7 @@ from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import Arms, arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding, first_of, same_slots, told, worst_of
-from gpusimbench.evaluator.probe.interventions import bystanders, fresh, poison, process, restored, set_states
+from gpusimbench.evaluator.probe.interventions import fresh, goes_on, left_alone, process
 from gpusimbench.evaluator.probe.pairs import Found, Pairs, held
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
@@ -228,12 +228,18 @@ QUESTIONS = (
     Question("number", "independent of the number of environments", _numbers),
     Question("slot", "independent of the slot", _slots),
     Question("neighbours", "independent of the neighbours' states", _neighbours),
-    Question("poison", "a NaN in one environment harms no other", poison),
-    Question("bystanders", "a reset leaves other environments alone", bystanders),
+    Question("poison", "a NaN in one environment harms no other", left_alone("poison", "one that is not finite")),
+    Question("bystanders", "a reset leaves other environments alone", left_alone("reset", "others that are reset")),
     Question("fresh", "a reset environment is as good as a fresh one", fresh),
-    Question("restored", "a restored state goes on as before", restored),
+    Question(
+        "restored", "a restored state goes on as before",
+        goes_on("excursion", "saved at step {step}, {more} further steps, restored"),
+    ),
     Question("process", "a snapshot goes on in another process as before", process),
     Question("device", "independent of the device", _device, gate=False, asked_of_few=True),
-    Question("set", "positions and velocities are the whole state", set_states, gate=False),
-)
+    Question(
+        "set", "positions and velocities are the whole state",
+        goes_on("set", "set at step {step} to the state that they had"), gate=False,
+    ),
+)  # fmt: skip
 """In the order of the report."""

@@ -11,6 +11,7 @@ from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.configuration import CAPTURE_MODES, USUAL_PHASES
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.treatment import KINDS
 
 _EPILOG = """\
 exit codes:
@@ -246,11 +247,10 @@ def parser() -> Parser:
     what.add_argument(
         "--intervene",
         metavar="KIND@STEP",
-        help="change the state after a captured step: reset@STEP resets every second environment; poison@STEP makes "
-        "the state of one environment not finite; set@STEP writes back the current positions and velocities; "
-        "excursion@STEP+MORE saves the state, makes MORE steps that are not recorded, and restores the state. "
-        "gsb-probe uses these. teacher@STEPS, of cube-toss, sets every environment to the measured state of its toss "
-        "after each STEPS steps: gsb-eval then gives the error after so many steps (default: none)",
+        help="change the state after a captured step. "
+        + "; ".join(f"{kind.form} {kind.does}" for kind in KINDS.values())
+        + ". gsb-probe uses these, but for teacher, which is for cube-toss: gsb-eval then gives the error after so "
+        "many steps (default: none)",
     )
     what.add_argument(
         "--from",

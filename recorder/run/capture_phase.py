@@ -103,7 +103,7 @@ class CapturePhase:
         """Step from the initial state to the last step; what speaks against the states is a gate of the journal."""
         c, sink = self._configuration, self._journal.sink
         view = self._view(simulator.scene, description) if c.view else None
-        intervention = Intervention.parse(c.intervention) if c.intervention else None
+        intervention = Intervention.of(c.intervention)
         expect((c.captured_steps + 1) * row_bytes(c.n_env, description.fields))
         writer = self.writer = StateWriter(
             sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, first_step=c.first_step, view=view,
@@ -125,7 +125,7 @@ class CapturePhase:
             snapshots[step] = saved(simulator)
 
         between = [(step, partial(save, step)) for step in c.snapshots]
-        if intervention and intervention.teaches:
+        if intervention and intervention.kind.repeats:
             teacher = Teacher(self._given, simulator, description)
             between += [(step, partial(teacher.set, number)) for number, step in enumerate(intervention.stops(c.steps))]
         elif intervention and intervention.step >= c.first_step:

@@ -27,7 +27,7 @@ def rows(text: str, scene: Scene, *, tossed: bool, dt: float, stride: int) -> in
     recorded states.
     """
     asked = Intervention.parse(parse(text)) if text else None
-    if asked is None or not asked.teaches:
+    if asked is None or not asked.kind.repeats:
         return 0
     if not tossed:
         raise UsageError(
