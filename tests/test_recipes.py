@@ -75,13 +75,7 @@ def one_ball() -> Scene:
     )
 ''',
     )
-    registry = "recorder/scenes/registry.py"
-    copy.edit(registry, '    "franka": franka,\n', '    "franka": franka,\n    "one-ball": one_ball,\n')
-    copy.edit(
-        registry,
-        "from gpusimbench.schemas.errors",
-        "from gpusimbench.recorder.scenes.one_ball import one_ball\nfrom gpusimbench.schemas.errors",
-    )
+    copy.edit("recorder/scenes/registry.py", '    "franka",\n', '    "franka",\n    "one-ball",\n')
     listed = json.loads(copy.run("gpusimbench.recorder.cli", "--list", "--json"))
     assert "one-ball" in [scene["name"] for scene in listed["scenes"]]
     assert "one-ball" in next(s for s in listed["simulators"] if s["name"] == "newton")["scenes"]

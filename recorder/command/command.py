@@ -142,7 +142,7 @@ def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
             f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}{hint}"
         )
     if refusal := adapter.refusal(simulator, scene, options):
-        others = "" if scene.needs() <= adapter.abilities else ", ".join(able(scene))
+        others = "" if scene.needs() <= adapter.offered(options) else ", ".join(able(scene))
         raise UsageError(f"{refusal}; simulators that can: {others}" if others else refusal)
     if scene.actions and (refusal := refusal_of(scene.actions, configuration)):
         raise UsageError(refusal)
@@ -320,8 +320,9 @@ def _set_up(arguments: argparse.Namespace) -> int:
 
 def run(given: list[str]) -> int:
     """Do what the arguments say; returns the exit code. Errors as of schemas.errors."""
+    command_line = parser()
     try:
-        arguments = parser().parse_args(given)
+        arguments = command_line.parse_args(given)
     except SystemExit:
         flush()  # --help and --version only write to a buffer, and an error there would come too late
         raise
@@ -341,7 +342,7 @@ def run(given: list[str]) -> int:
         return _set_up(arguments)
     if not arguments.sim and arguments.replay is None:
         raise UsageError("no simulator given: use --sim NAME; gsb-record --list shows the simulators")
-    fill(arguments)
+    fill(arguments, command_line.unless_given)
     with shielded():
         from gpusimbench.recorder import clock
         from gpusimbench.recorder.sets.progress import say

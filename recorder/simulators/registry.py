@@ -256,6 +256,6 @@ def able(scene: Scene) -> tuple[str, ...]:
             adapter = entry.adapter()
         except UsageError:
             continue
-        if scene.needs() <= adapter.abilities:
+        if scene.needs() <= adapter.offered(adapter.Options()):
             found.append(name)
     return tuple(found)
