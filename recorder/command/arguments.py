@@ -1,16 +1,14 @@
-"""The arguments of gsb-record: what it takes, what each is where it is not given, and what does not go together."""
+"""The arguments of gsb-record: what it takes, and what each is where it is not given."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
 
+from gpusimbench.recorder.command.parser import RecordParser
 from gpusimbench.schemas.commands.command_line import add_common
-from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.configuration import CAPTURE_MODES
-from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.treatment import KINDS
 
@@ -85,37 +83,6 @@ SHORTHANDS = {
 """Options of simulators that are common enough for a switch of their own."""
 
 
-_NOT_TAKEN: Any = object()
-
-
-class RecordParser(Parser):
-    """The parser of gsb-record.
-
-    unless_given  by kind of what is recorded ("simulated", "measured" or "replayed"): the arguments that are taken, by
-                  name, and what each is where it is not given
-    """
-
-    def __init__(self, *arguments: Any, **keywords: Any) -> None:
-        super().__init__(*arguments, **keywords)
-        self.unless_given: dict[str, dict[str, Any]] = {"simulated": {}, "measured": {}, "replayed": {}}
-
-    def take(
-        self,
-        group: argparse._ActionsContainer,
-        *names: str,
-        simulated: Any = _NOT_TAKEN,
-        measured: Any = _NOT_TAKEN,
-        replayed: Any = _NOT_TAKEN,
-        **keywords: Any,
-    ) -> None:
-        """Add an argument, with what it is where it is not given; a kind of recording without such a value refuses the
-        argument."""
-        action = group.add_argument(*names, **keywords)
-        for kind, value in (("simulated", simulated), ("measured", measured), ("replayed", replayed)):
-            if value is not _NOT_TAKEN:
-                self.unless_given[kind][action.dest] = value
-
-
 def parser() -> RecordParser:
     """The command's arguments."""
     p = RecordParser(
@@ -144,14 +111,11 @@ def parser() -> RecordParser:
     )
     p.add_argument("--json", action="store_true", help="print results (or the list) as JSON on standard output")
 
-    what = p.add_argument_group("what is run")
-    what.add_argument("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
-    what.add_argument("--replay", type=Path, metavar="FILE", help="repeat the run of a recording")
-    p.take(
-        what, "--scene", metavar="NAME", help=f"scene; see --list (default: {SCENE})", simulated=None, measured=SCENE
-    )
-    p.take(
-        what,
+    take = partial(p.take, p.add_argument_group("what is run"))
+    take("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
+    take("--replay", type=Path, metavar="FILE", help="repeat the run of a recording")
+    take("--scene", metavar="NAME", help=f"scene; see --list (default: {SCENE})", simulated=None, measured=SCENE)
+    take(
         "--model",
         type=Path,
         metavar="FILE.xml",
@@ -159,8 +123,7 @@ def parser() -> RecordParser:
         "recording carries them",
         simulated=None,
     )
-    p.take(
-        what,
+    take(
         "--actions",
         metavar="none|random[:SPREAD]|keyframe|FILE.npz",
         help="with --model: controls of the actuators. random draws each control anew at each step, uniformly within "
@@ -168,16 +131,14 @@ def parser() -> RecordParser:
         "has controls [step, actuator], or [step, env, actuator] (default: random, if the model has actuators)",
         simulated="",
     )
-    p.take(
-        what,
+    take(
         "--keyframe",
         metavar="NAME",
         help="with --model: the keyframe that environments begin in, or none for the model's reference state "
         "(default: the model's first keyframe, if it has one)",
         simulated="",
     )
-    p.take(
-        what,
+    take(
         "--allow-model",
         action="store_true",
         default=None,
@@ -185,23 +146,20 @@ def parser() -> RecordParser:
         "engine's parser",
         replayed=False,
     )
-    p.take(
-        what,
+    take(
         "--n-env",
         type=int,
         metavar="N",
         help=f"number of environments (default: {N_ENV}; of cube-toss: one per toss)",
         simulated=None,
     )
-    p.take(
-        what,
+    take(
         "--sweep",
         metavar="A..B[:F]",
         help="instead of --n-env: record A, A*F, A*F*F... and B environments, powers of two (F: 2)",
         simulated=None,
     )
-    p.take(
-        what,
+    take(
         "--runs",
         type=int,
         metavar="R",
@@ -209,19 +167,15 @@ def parser() -> RecordParser:
         simulated=10,
         replayed=1,
     )
-    p.take(
-        what, "--dt", type=float, metavar="S", help="time step [s] (default: the scene's, such as 0.01)", simulated=None
-    )
-    p.take(
-        what,
+    take("--dt", type=float, metavar="S", help="time step [s] (default: the scene's, such as 0.01)", simulated=None)
+    take(
         "--seed",
         type=int,
         metavar="N",
         help="seed of random numbers, the same in every run (default: 0)",
         simulated=0,
     )
-    p.take(
-        what,
+    take(
         "--option",
         action="append",
         metavar="NAME=VALUE",
@@ -230,8 +184,7 @@ def parser() -> RecordParser:
         replayed=(),
     )
     for name, meaning in SHORTHANDS.items():
-        p.take(
-            what,
+        take(
             f"--{name}",
             action="append",
             metavar="X",
@@ -239,8 +192,7 @@ def parser() -> RecordParser:
             simulated=(),
             replayed=(),
         )
-    p.take(
-        what,
+    take(
         "--fitted",
         action="append",
         metavar="NAME=DATA",
@@ -248,8 +200,7 @@ def parser() -> RecordParser:
         "(default: nothing was fitted)",
         simulated=(),
     )
-    p.take(
-        what,
+    take(
         "--initial",
         metavar="random:SPREAD|FILE",
         help="initial states. random:SPREAD gives each environment velocities of bodies [m/s] and joint angles [rad] "
@@ -258,16 +209,14 @@ def parser() -> RecordParser:
         "(default: the scene's initial state in all environments)",
         simulated="",
     )
-    p.take(
-        what,
+    take(
         "--vary",
         metavar="NAME:SPREAD[,NAME:SPREAD]",
         help="parameters that differ from environment to environment: mass:0.1,friction:0.2,size:0.05 multiplies each "
         "moving body's by a factor of its own in each environment, drawn within 1+-SPREAD (default: none)",
         simulated="",
     )
-    p.take(
-        what,
+    take(
         "--tosses",
         type=Path,
         metavar="PATH",
@@ -277,8 +226,7 @@ def parser() -> RecordParser:
         simulated=None,
         measured=None,
     )
-    p.take(
-        what,
+    take(
         "--intervene",
         metavar="KIND@STEP",
         help="change the state after a captured step. "
@@ -287,8 +235,7 @@ def parser() -> RecordParser:
         "many steps (default: none)",
         simulated="",
     )
-    p.take(
-        what,
+    take(
         "--from",
         dest="from_step",
         type=int,
@@ -296,15 +243,13 @@ def parser() -> RecordParser:
         help="with --replay: begin at the recording's snapshot of this step, and capture the rest",
         replayed=None,
     )
-    p.take(
-        what,
+    take(
         "--determinism",
         metavar="LEVEL",
         help="determinism level of the engine; see --list NAME (default: default, the engine as it ships)",
         simulated="default",
     )
-    p.take(
-        what,
+    take(
         "--timeout",
         type=float,
         metavar="S",
@@ -313,9 +258,8 @@ def parser() -> RecordParser:
         replayed=0.0,
     )
 
-    how = p.add_argument_group("what is recorded")
-    p.take(
-        how,
+    take = partial(p.take, p.add_argument_group("what is recorded"))
+    take(
         "--phases",
         metavar="LIST",
         help="any of timed (throughput), capture (states) and import (what the engine made of a model file, which "
@@ -323,33 +267,29 @@ def parser() -> RecordParser:
         simulated="timed,capture",
         replayed=None,
     )
-    p.take(
-        how,
+    take(
         "--steps",
         type=int,
         metavar="N",
         help="number of captured steps (default: 5 s of simulated time)",
         simulated=None,
     )
-    p.take(how, "--stride", type=int, metavar="K", help="record every K-th state (default: 1)", simulated=1)
-    p.take(
-        how,
+    take("--stride", type=int, metavar="K", help="record every K-th state (default: 1)", simulated=1)
+    take(
         "--snapshot",
         metavar="STEP[,STEP...]",
         help="save the engine's complete state after these captured steps; --replay FILE --from STEP continues there "
         "(default: none)",
         simulated="",
     )
-    p.take(
-        how,
+    take(
         "--capture",
         choices=CAPTURE_MODES,
         help="lossless: write while stepping, and wait if the disk is slower; memory: write after the last step "
         "(default: lossless)",
         simulated="lossless",
     )
-    p.take(
-        how,
+    take(
         "--keep",
         metavar="failing[,within:M]",
         help="write only the states from 100 steps before to 10 steps after a failure, of the first 16 environments "
@@ -357,8 +297,7 @@ def parser() -> RecordParser:
         "metres from the environment's origin along an axis (default: all states of all environments)",
         simulated="",
     )
-    p.take(
-        how,
+    take(
         "--view-env",
         type=int,
         action="append",
@@ -367,8 +306,7 @@ def parser() -> RecordParser:
         simulated=(),
         replayed=(),
     )
-    p.take(
-        how,
+    take(
         "--no-view",
         action="store_true",
         default=None,
@@ -376,16 +314,14 @@ def parser() -> RecordParser:
         simulated=False,
         replayed=False,
     )
-    p.take(
-        how,
+    take(
         "--warmup",
         type=int,
         metavar="N",
         help="untimed steps first (default: 100; of cube-toss: 10)",
         simulated=None,
     )
-    p.take(
-        how,
+    take(
         "--timed-steps",
         type=int,
         metavar="N",
@@ -393,30 +329,28 @@ def parser() -> RecordParser:
         "together (default: 1000; of cube-toss: 100)",
         simulated=None,
     )
-    how.add_argument(
+    take(
         "--compression",
         choices=("none", "lz4", "zstd"),
         default="none",
         help="compression of the recordings (default: none)",
     )
-    how.add_argument(
+    take(
         "--out",
         type=Path,
         metavar="DIR",
         help=f"folder of the recordings (default: {OUT}/; of --replay: {OUT_OF_REPLAYS}/)",
     )
 
-    across = p.add_argument_group("where it is run")
-    p.take(
-        across,
+    take = partial(p.take, p.add_argument_group("where it is run"))
+    take(
         "--ray",
         metavar="ADDRESS",
         help="make the runs on a Ray cluster (HOST:PORT or auto), or on all GPUs of this machine (local)",
         simulated=None,
         replayed=None,
     )
-    p.take(
-        across,
+    take(
         "--ray-resource",
         metavar="NAME",
         help="use only nodes with this Ray resource",
@@ -424,11 +358,10 @@ def parser() -> RecordParser:
         replayed=None,
     )
 
-    real = p.add_argument_group("real trials (--sim real)")
-    p.take(real, "--trials", type=Path, metavar="CSV", help="positions of the cubes: trial,cube,x,y[,z]", measured=None)
-    p.take(real, "--unit", choices=("m", "cm"), help="unit of the positions in the CSV", measured=None)
-    p.take(
-        real,
+    take = partial(p.take, p.add_argument_group("real trials (--sim real)"))
+    take("--trials", type=Path, metavar="CSV", help="positions of the cubes: trial,cube,x,y[,z]", measured=None)
+    take("--unit", choices=("m", "cm"), help="unit of the positions in the CSV", measured=None)
+    take(
         "--sample-time",
         type=float,
         metavar="S",
@@ -450,28 +383,3 @@ def names() -> dict[str, tuple[str, ...]]:
 
     sims, scenes = tuple(simulators()), scene_names()
     return {"sim": (*sims, REAL), "scene": scenes, "setup": tuple(SPECIFICATIONS), "list": (*sims, *scenes)}
-
-
-def fill(arguments: argparse.Namespace, unless_given: Mapping[str, dict[str, Any]]) -> None:
-    """Give what was not given its default; UsageError for what was given and would be ignored."""
-    simulated, measured, replayed = (unless_given[kind] for kind in ("simulated", "measured", "replayed"))
-    if arguments.replay is not None:
-        own, foreign, whose = replayed, {**simulated, **measured}, "--sim"
-        doing = "--replay takes this value from the recording"
-    elif arguments.sim == REAL:
-        own, foreign, whose, doing = measured, simulated, "a simulator", f"--sim {REAL} does not use this option"
-    else:
-        own, foreign, whose = simulated, measured, f"--sim {REAL}"
-        doing = f"--sim {arguments.sim} does not use this option"
-    for name in foreign:
-        if name not in own and getattr(arguments, name) is not None:
-            raise UsageError(f"--{name.replace('_', '-')} is for {whose}; {doing}")
-    if arguments.from_step is not None and arguments.replay is None:
-        raise UsageError("--from needs --replay FILE: it is a step of that recording")
-    if arguments.ray_resource is not None and arguments.ray is None:
-        raise UsageError("--ray-resource needs --ray ADDRESS: it chooses nodes of that cluster")
-    if arguments.sweep is not None and arguments.n_env is not None:
-        raise UsageError("--sweep and --n-env cannot be used together: --sweep sets the number of environments")
-    for name, default in own.items():
-        if getattr(arguments, name) is None:
-            setattr(arguments, name, default)

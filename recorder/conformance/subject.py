@@ -19,7 +19,7 @@ from gpusimbench.recorder.conformance.scene import DT, LANDING, N_ENV, N_STEP, c
 from gpusimbench.recorder.conformance.trajectory import Trajectory
 from gpusimbench.recorder.conformance.verdict import NotApplicable
 from gpusimbench.recorder.options import parse_options
-from gpusimbench.recorder.run.environment import apply_environment
+from gpusimbench.recorder.run.engine import apply_environment
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import SCENES, make_scene
 from gpusimbench.recorder.scenes.variation import Variation

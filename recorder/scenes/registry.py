@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Mapping
 from importlib import import_module, metadata
 
-from gpusimbench.recorder.plugins import in_words
+from gpusimbench.recorder.failure import in_words
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import RunConfiguration

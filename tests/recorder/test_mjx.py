@@ -74,7 +74,7 @@ def test_the_cpu_is_asked_for_before_jax_looks_for_others() -> None:
 )
 def test_targets_are_drawn_on_the_device(seed: int, step: int, given_to: list[tuple[int, int]]) -> None:
     """Make on the device, bit for bit, the targets that the scene defines, whatever streams environments follow."""
-    from gpusimbench.recorder.simulators.jax.actions import device_draw
+    from gpusimbench.recorder.simulators.jax.simulator import device_draw
 
     actions = franka().actions
     assert actions is not None

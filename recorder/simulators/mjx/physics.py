@@ -15,7 +15,7 @@ from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.variation import Variation
-from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from gpusimbench.recorder.simulators.evidence import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW
 from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
 from gpusimbench.recorder.simulators.mujoco.options import (
