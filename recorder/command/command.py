@@ -31,7 +31,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
-        from gpusimbench.recorder.run import initial, intervention, keep, teacher, vary
+        from gpusimbench.recorder.run import initial, intervention, keep, vary
         from gpusimbench.recorder.scenes.actions import table
         from gpusimbench.recorder.scenes.model.scene import ModelScene
         from gpusimbench.recorder.sets.given import read_given
@@ -48,7 +48,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     if arguments.tosses is not None and begins:
         raise UsageError("--tosses and --initial both say how environments begin; give one of them")
     tossed = bool(scene.tosses and not begins and arguments.sweep is None)
-    every = teacher.rows(arguments.intervene, scene, tossed=tossed, dt=dt, stride=arguments.stride)
+    every = intervention.rows(arguments.intervene, scene, tossed=tossed, dt=dt, stride=arguments.stride)
     if tossed:
         tosses = read_tosses(arguments.tosses)
         if arguments.n_env is None:

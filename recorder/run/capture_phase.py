@@ -15,10 +15,9 @@ from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.capture.writing import Block, Writing
 from gpusimbench.recorder.run.given_actions import begin_anew, prepare, write_applied
-from gpusimbench.recorder.run.intervention import intervene
+from gpusimbench.recorder.run.intervention import Teacher, intervene
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.run.start import saved
-from gpusimbench.recorder.run.teacher import Teacher
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS

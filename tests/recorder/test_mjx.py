@@ -328,7 +328,7 @@ def test_parameters_of_an_environment_are_those_of_its_own_model(scene: str, var
     import jax
     from mujoco import mjx
 
-    from gpusimbench.recorder.simulators.mjx.varied import batched, model_fields
+    from gpusimbench.recorder.simulators.mjx.physics import batched, model_fields
     from gpusimbench.recorder.simulators.mujoco.model import compile_scene
     from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
     from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
