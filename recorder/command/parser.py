@@ -43,20 +43,22 @@ class RecordParser(Parser):
 
 def fill(arguments: argparse.Namespace, unless_given: Mapping[str, dict[str, Any]]) -> None:
     """Give what was not given its default; UsageError for what was given and would be ignored."""
-    simulated, measured, replayed = (unless_given[kind] for kind in ("simulated", "measured", "replayed"))
-    if arguments.replay is not None:
-        own, foreign, whose = replayed, {**simulated, **measured}, "--sim"
-        doing = "--replay takes this value from the recording"
-    elif arguments.sim == REAL:
-        own, foreign, whose, doing = measured, simulated, "a simulator", f"--sim {REAL} does not use this option"
-    else:
-        own, foreign, whose = simulated, measured, f"--sim {REAL}"
-        doing = f"--sim {arguments.sim} does not use this option"
-    for name in foreign:
-        if name not in own and getattr(arguments, name) is not None:
-            raise UsageError(f"--{name.replace('_', '-')} is for {whose}; {doing}")
     if arguments.from_step is not None and arguments.replay is None:
         raise UsageError("--from needs --replay FILE: it is a step of that recording")
+    replays, real = arguments.replay is not None, arguments.sim == REAL
+    own = unless_given["replayed" if replays else "measured" if real else "simulated"]
+    doing = "--replay takes this value from the recording"
+    if not replays:
+        doing = f"--sim {arguments.sim} does not use this option"
+    whose = {
+        "simulated": "--sim" if replays else "a simulator",
+        "measured": "--sim" if replays else f"--sim {REAL}",
+        "replayed": "--replay FILE",
+    }
+    for kind, taken in unless_given.items():
+        for name in taken:
+            if name not in own and getattr(arguments, name) is not None:
+                raise UsageError(f"--{name.replace('_', '-')} is for {whose[kind]}; {doing}")
     if arguments.ray_resource is not None and arguments.ray is None:
         raise UsageError("--ray-resource needs --ray ADDRESS: it chooses nodes of that cluster")
     if arguments.sweep is not None and arguments.n_env is not None:
