@@ -24,7 +24,7 @@ from gpusimbench.recorder.capture.flight import FlightWriter
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.options import parse_options, split_options
 from gpusimbench.recorder.run import initial
-from gpusimbench.recorder.run.environment import apply_environment
+from gpusimbench.recorder.run.engine import apply_environment
 from gpusimbench.recorder.run.flight_phase import fly, watch_of
 from gpusimbench.recorder.run.given_actions import prepare
 from gpusimbench.recorder.scenes.registry import make_scene

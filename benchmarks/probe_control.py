@@ -112,8 +112,9 @@ def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
     """
     from gpusimbench.evaluator.cli.probe import differing
     from gpusimbench.evaluator.read.recording import Recording
-    from gpusimbench.recorder.command.arguments import fill, parser
+    from gpusimbench.recorder.command.arguments import parser
     from gpusimbench.recorder.command.command import configure
+    from gpusimbench.recorder.command.parser import fill
     from gpusimbench.schemas.location import place
 
     found = []
@@ -124,8 +125,9 @@ def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
             saved = (r.path for r in there if arm.continued in r.configuration.snapshots)
             found += [_continuing(path, arm.continued) for path in list(saved)[:1]]
             continue
-        arguments = parser().parse_args(plan.arguments(arm, "."))
-        fill(arguments)
+        command_line = parser()
+        arguments = command_line.parse_args(plan.arguments(arm, "."))
+        fill(arguments, command_line.unless_given)
         found.append(configure(arguments)[0].to_json())
     return found
 

@@ -223,12 +223,12 @@ def options() -> str:
 def scenes() -> str:
     """Every scene that ships, with its bodies and materials."""
     from gpusimbench.recorder.abilities import titles
-    from gpusimbench.recorder.scenes.registry import SCENES
+    from gpusimbench.recorder.scenes.registry import SCENES, make_scene
 
     text = ["# Scenes", "SI units, world frame, z up. Every recording has its scene whole, in `scene.json`."]
-    for name, make in SCENES.items():
-        scene = make()
-        doc = inspect.getdoc(sys.modules[make.__module__]) or ""
+    for name in SCENES:
+        scene = make_scene(name)
+        doc = inspect.getdoc(import_module(f"gpusimbench.recorder.scenes.{name.replace('-', '_')}")) or ""
         text += [f"## {name}", doc, f"dt {scene.dt} s; positions are compared at {scene.sample_time} s."]
         made = {m.name: m for m in (body.material for body in scene.bodies)}
         rows = [(m.name, *map(str, (m.static_friction, m.kinetic_friction, m.restitution))) for m in made.values()]

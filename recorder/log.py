@@ -19,6 +19,7 @@ import math
 import sys
 import uuid
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -33,7 +34,6 @@ from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.failure import cause_of
 from gpusimbench.recorder.interruption import postponed
-from gpusimbench.recorder.open_end import closed
 from gpusimbench.recorder.plan import utc_now
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
@@ -56,6 +56,20 @@ from gpusimbench.schemas.provenance import (
     Provenance,
     Simulation,
 )
+
+
+def closed(sink: Sink, provenance: Provenance, last_step: int) -> RunConfiguration:
+    """Write the number of steps into the provenance, which lies at the beginning of the file; spaces fill it up.
+
+    last_step  that was recorded; a recording without one has the fewest steps that there can be
+
+    Returns the configuration with that number.
+    """
+    before = provenance.configuration
+    configuration = replace(before, steps=max(before.stride, last_step))
+    data = replace(provenance, configuration=configuration).to_json().encode()
+    sink.rewrite(PROVENANCE, data.ljust(len(provenance.to_json().encode())))
+    return configuration
 
 
 class RecordingWriter:

@@ -24,9 +24,6 @@ MAX_ENVS = 1 << 24
 MAX_VIEW = 4
 """Environments that a recording has a view of, at most."""
 
-_LATER = ("initial", "vary", "intervention", "keep", "snapshots", "model", "keyframe", "actions", "fitted")
-"""Values that came later than the others; what is empty of them is left out of the JSON."""
-
 EPOCH_NS = 1_000_000_000
 """log_time of simulated time zero: zero itself reads as "no time" in some tools."""
 
@@ -126,10 +123,7 @@ class RunConfiguration:
         """As plain JSON values."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
         record["snapshots"] = list(self.snapshots)
-        for name in _LATER:
-            if not record[name]:
-                del record[name]
-        return record
+        return {name: value for name, value in record.items() if value or name not in _LATER}
 
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> RunConfiguration:
@@ -160,34 +154,44 @@ class RunConfiguration:
             timeout=checks.number(record, "timeout", 0, 1e9) if "timeout" in record else 0.0,
             capture=checks.text(record, "capture", default=CAPTURE_MODES[0]),
             view=tuple(checks.whole({"view": env}, "view", 0, n_env - 1) for env in checks.items(record, "view")),
-            initial=_treatment(record, "initial", parse_initial),
-            vary=_treatment(record, "vary", Vary.parse),
-            intervention=_treatment(record, "intervention", Intervention.parse),
-            keep=_treatment(record, "keep", Keep.parse),
-            model=checks.text(record, "model", default=""),
-            keyframe=checks.text(record, "keyframe", default=""),
-            actions=checks.text(record, "actions", default=""),
-            snapshots=tuple(
-                sorted(
-                    checks.whole({"snapshots": step}, "snapshots", 0, checks.MAX_COUNT)
-                    for step in checks.items(record, "snapshots")
-                )
-            ),
-            fitted=checks.text_map(record, "fitted"),
+            **{name: read(record, name) for name, read in _LATER.items()},
         )
         if made.captured_steps < 1:
             raise DamagedRecording(f"it begins at step {made.first_step} and ends at step {made.steps}")
         return made
 
 
-def _treatment(
-    record: dict[str, Any], name: str, parse: Callable[[str], Initial | Given | Vary | Intervention | Keep]
-) -> str:
-    text = checks.text(record, name, default="")
-    try:
-        return text and str(parse(text))
-    except ValueError:
-        raise DamagedRecording(f"{name} is none that is known: {text[:40]!r}") from None
+def _text(record: dict[str, Any], name: str) -> str:
+    return checks.text(record, name, default="")
+
+
+def _steps(record: dict[str, Any], name: str) -> tuple[int, ...]:
+    return tuple(sorted(checks.whole({name: step}, name, 0, checks.MAX_COUNT) for step in checks.items(record, name)))
+
+
+def _treatment(parse: Callable[[str], Initial | Given | Vary | Intervention | Keep]) -> Callable[..., str]:
+    def read(record: dict[str, Any], name: str) -> str:
+        text = _text(record, name)
+        try:
+            return text and str(parse(text))
+        except ValueError:
+            raise DamagedRecording(f"{name} is none that is known: {text[:40]!r}") from None
+
+    return read
+
+
+_LATER: dict[str, Callable[[dict[str, Any], str], Any]] = {
+    "initial": _treatment(parse_initial),
+    "vary": _treatment(Vary.parse),
+    "intervention": _treatment(Intervention.parse),
+    "keep": _treatment(Keep.parse),
+    "snapshots": _steps,
+    "model": _text,
+    "keyframe": _text,
+    "actions": _text,
+    "fitted": checks.text_map,
+}
+"""Values that came later than the others, and how each is read; what is empty of them is left out of the JSON."""
 
 
 def open_end(stride: int) -> int:

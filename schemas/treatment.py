@@ -8,6 +8,7 @@ in one of the first three.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 
 MOST_SPREAD = 3.0
@@ -200,27 +201,70 @@ class Vary:
         return ",".join(f"{name}:{spread!r}" for name, spread in self.spreads) + tail
 
 
-KINDS = {
-    "reset": "every second environment, from 0 on, is reset",
-    "set": "all environments are given the positions and velocities that they have",
-    "poison": "environment 1 is given velocities that are not finite, as a diverged solver leaves them",
-    "excursion": "all environments are saved, make so many further steps, which are not recorded, and are restored",
-    "teacher": "every environment is given the measured state of its toss, again and again after so many steps "
-    "(teacher forcing), while its toss goes on",
-}
-"""Interventions after a step, and what each does."""
+@dataclass(frozen=True)
+class Kind:
+    """A kind of intervention: what it does to states after a step of the capture, and what readers conclude from that.
+
+    Beside this declaration, a kind is a function in recorder.run.intervention. gsb-probe records it, if `probed`, and a
+    question in evaluator.probe.questions judges it.
+
+    name      in the text of an intervention
+    does      in words
+    treats    whether something is done to environment e
+    changes   the states of these environments do not go on as they would have
+    poisons   the states of these environments need not be finite
+    restarts  these environments begin anew, and so do their actions
+    more      it takes further steps: "NAME@STEP+MORE"
+    repeats   it is done after each whole multiple of the step
+    probed    the results of a sound engine do not depend on it, or only in the environments that it changes
+    """
+
+    name: str
+    does: str
+    treats: Callable[[int], bool] = lambda env: True
+    changes: bool = False
+    poisons: bool = False
+    restarts: bool = False
+    more: bool = False
+    repeats: bool = False
+    probed: bool = True
+
+    @property
+    def form(self) -> str:
+        """How an intervention of this kind is written."""
+        return f"{self.name}@{'STEPS' if self.repeats else 'STEP'}{'+MORE' if self.more else ''}"
+
+
+_KINDS = (
+    Kind(
+        "poison", "makes the state of environment 1 not finite, as a diverged solver leaves it",
+        treats=lambda env: env == 1, changes=True, poisons=True,
+    ),
+    Kind(
+        "reset", "resets every second environment, from 0 on",
+        treats=lambda env: env % 2 == 0, changes=True, restarts=True,
+    ),
+    Kind("excursion", "saves the state, makes MORE steps that are not recorded, and restores the state", more=True),
+    Kind("set", "writes back the current positions and velocities"),
+    Kind(
+        "teacher", "sets every environment to the measured state of its toss after each STEPS steps, while the toss "
+        "goes on (teacher forcing)", changes=True, repeats=True, probed=False,
+    ),
+)  # fmt: skip
+KINDS = {kind.name: kind for kind in _KINDS}
+"""Kinds of interventions by name."""
 
 
 @dataclass(frozen=True)
 class Intervention:
-    """What is done to the state of some environments after a step of the capture: "KIND@STEP", "excursion@STEP+MORE".
+    """What is done to the state of some environments after a step of the capture, as of Kind.form.
 
-    kind  one of KINDS
-    step  after which it is done; "teacher": after each whole multiple of it
-    more  steps of an excursion
+    name  of one of KINDS
+    step  after which it is done; of a kind that repeats: after each whole multiple of it
+    more  further steps, of a kind that takes them
     """
 
-    kind: str
+    name: str
     step: int
     more: int = 0
 
@@ -228,37 +272,37 @@ class Intervention:
     def parse(cls, text: str) -> Intervention:
         """From the text; ValueError where it is none."""
         found = _INTERVENTION.fullmatch(text)
-        if not found or found["kind"] not in KINDS or (found["kind"] == "excursion") != bool(int(found["more"] or 0)):
+        if not found or found["kind"] not in KINDS:
             raise ValueError(text)
         made = cls(found["kind"], int(found["step"]), int(found["more"] or 0))
-        if str(made) != text or (made.teaches and not made.step):
+        if str(made) != text or made.kind.more != bool(made.more) or (made.kind.repeats and not made.step):
             raise ValueError(text)
         return made
 
+    @classmethod
+    def of(cls, text: str) -> Intervention | None:
+        """From the intervention of a RunConfiguration; None where it is empty."""
+        return cls.parse(text) if text else None
+
     def __str__(self) -> str:
-        return f"{self.kind}@{self.step}" + (f"+{self.more}" if self.more else "")
+        return f"{self.name}@{self.step}" + (f"+{self.more}" if self.more else "")
 
     @property
-    def teaches(self) -> bool:
-        """Whether states are set to measured ones."""
-        return self.kind == "teacher"
+    def kind(self) -> Kind:
+        """What it does, and what follows."""
+        return KINDS[self.name]
 
     def stops(self, last: int) -> range:
         """The steps after which it is done, of a capture up to step `last`."""
-        return range(self.step, last, self.step) if self.teaches else range(self.step, self.step + 1)
+        return range(self.step, last, self.step) if self.kind.repeats else range(self.step, self.step + 1)
 
-    def treated(self, env: int) -> bool:
-        """Whether something is done to that environment."""
-        match self.kind:
-            case "reset":
-                return env % 2 == 0
-            case "poison":
-                return env == 1
-        return True
+    def treated(self, n_env: int) -> list[int]:
+        """Environments that something is done to, of so many."""
+        return [env for env in range(n_env) if self.kind.treats(env)]
 
     def poisoned(self, n_env: int) -> frozenset[int]:
         """Environments whose states need not be finite."""
-        return frozenset(env for env in range(n_env) if self.kind == "poison" and self.treated(env))
+        return frozenset(self.treated(n_env) if self.kind.poisons else ())
 
 
 @dataclass(frozen=True)

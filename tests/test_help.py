@@ -49,11 +49,11 @@ def test_every_option_is_explained(name: str) -> None:
 
 
 def test_the_recorder_says_its_defaults() -> None:
-    """Name in the help of gsb-record each default that its tables have."""
-    from gpusimbench.recorder.command import arguments
+    """Name in the help of gsb-record what each argument is that is not given."""
+    from gpusimbench.recorder.command.arguments import parser
 
     helps = {action.dest: action.help or "" for action in _options(PARSERS["gsb-record"])}
-    for table in (arguments._SIMULATED, arguments._MEASURED, arguments._REPLAYED):
+    for table in parser().unless_given.values():
         for name, default in table.items():
             if default is not False and default not in (None, ()):
                 assert _says(helps[name], default), f"--{name}: {default}"

@@ -75,13 +75,7 @@ def one_ball() -> Scene:
     )
 ''',
     )
-    registry = "recorder/scenes/registry.py"
-    copy.edit(registry, '    "franka": franka,\n', '    "franka": franka,\n    "one-ball": one_ball,\n')
-    copy.edit(
-        registry,
-        "from gpusimbench.schemas.errors",
-        "from gpusimbench.recorder.scenes.one_ball import one_ball\nfrom gpusimbench.schemas.errors",
-    )
+    copy.edit("recorder/scenes/registry.py", '    "franka",\n', '    "franka",\n    "one-ball",\n')
     listed = json.loads(copy.run("gpusimbench.recorder.cli", "--list", "--json"))
     assert "one-ball" in [scene["name"] for scene in listed["scenes"]]
     assert "one-ball" in next(s for s in listed["simulators"] if s["name"] == "newton")["scenes"]
@@ -126,6 +120,58 @@ class Twin(MujocoC):
     )
     assert "franka" not in twin["scenes"]
     assert "fixed-base" in str(twin["missing_for"]["franka"])
+
+
+@pytest.mark.slow
+def test_add_an_intervention(copy: Copy) -> None:
+    """Record a new intervention, which gsb-probe plans, and answer the question about it."""
+    copy.edit(
+        "schemas/treatment.py",
+        "_KINDS = (\n",
+        '_KINDS = (\n    Kind("again", "saves the state and restores it at once"),\n',
+    )
+    copy.edit(
+        "recorder/run/intervention.py",
+        "] = {\n",
+        '] = {\n    "again": (lambda claims: claims.snapshot, '
+        "lambda asked: asked.simulator.restore(asked.simulator.snapshot())),\n",
+    )
+    copy.edit(
+        "evaluator/probe/questions.py",
+        "QUESTIONS = (\n",
+        'QUESTIONS = (\n    Question("again", "a state that is restored at once goes on", '
+        'goes_on("again", "restored at step {step}")),\n',
+    )
+    assert "again@STEP saves the state" in " ".join(copy.run("gpusimbench.recorder.cli", "--help-all").split())
+    few = ["--n-env", "2", "--numbers", "1", "--steps", "30", "--out", "made", "--json", "answers.json"]
+    copy.run("gpusimbench.evaluator.cli.probe", "--sim", "mujoco", "--scene", "free-fall", *few)
+    (probe,) = json.loads((copy.folder / "answers.json").read_text(encoding="utf-8"))["probes"]
+    assert {one["key"]: one["answer"] for one in probe["answers"]}["again"] == "yes"
+
+
+@pytest.mark.slow
+def test_add_an_option_of_the_recorder(copy: Copy) -> None:
+    """Keep what a new option was given in the recording, and in its replay; refuse it where it means nothing."""
+    copy.edit("schemas/configuration.py", '    vary: str = ""\n', '    vary: str = ""\n    comment: str = ""\n')
+    copy.edit("schemas/configuration.py", '    "model": _text,\n', '    "model": _text,\n    "comment": _text,\n')
+    copy.edit(
+        "recorder/command/arguments.py",
+        '    take("--replay"',
+        '    take("--comment", metavar="TEXT", help="any text (default: none)", simulated="")\n    take("--replay"',
+    )
+    copy.edit(
+        "recorder/command/command.py",
+        "        phases=phases,\n        seed",
+        "        phases=phases,\n        comment=arguments.comment,\n        seed",
+    )
+    wanted = ["--scene", "free-fall", "--n-env", "2", "--runs", "1", "--steps", "20", "--phases", "capture"]
+    copy.run("gpusimbench.recorder.cli", "--sim", "mujoco", *wanted, "--comment", "hello", "--out", "made")
+    (first,) = (copy.folder / "made").glob("*.mcap")
+    copy.run("gpusimbench.recorder.cli", "--replay", str(first), "--out", "replayed")
+    (second,) = (copy.folder / "replayed").glob("*.mcap")
+    for path in (first, second):
+        (told,) = json.loads(copy.run("gpusimbench.evaluator.cli.info", str(path), "--json", "-"))["files"]
+        assert told["provenance"]["configuration"]["comment"] == "hello"
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import pytest
 
 from gpusimbench import DamagedRecording, NotARecording, open_recording, verify
 from gpusimbench.evaluator.read.episodes import episodes
-from gpusimbench.recorder.demonstrations.demonstration import Demonstration
+from gpusimbench.recorder.demonstrations.data_set import Demonstration
 from gpusimbench.recorder.demonstrations.hdf5 import made, opened, read
 from gpusimbench.recorder.demonstrations.writing import write
 from tests.conftest import call

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.run.environment import apply_environment
+from gpusimbench.recorder.run.engine import apply_environment
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.registry import find_simulator

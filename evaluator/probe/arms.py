@@ -166,7 +166,7 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
         {r.configuration.n_env: r for r in reversed(same) if r in alone and r.configuration.n_env != n_env},
         next((r for r, initial in usual_size.items() if initial.shift), None),
         next((r for r, initial in usual_size.items() if initial.but is not None), None),
-        {Intervention.parse(done).kind: r for r in reversed(treated) if (done := r.configuration.intervention)},
+        {done.name: r for r in reversed(treated) if (done := Intervention.of(r.configuration.intervention))},
         _continued(good),
         tuple(tuple(runs) for runs in by_treatment.values() if len(runs) > 1),
         {how: why for how, why in failed.items() if how not in map(_treatment, good)},
@@ -196,8 +196,9 @@ def _of_one_spread(varied: dict[Recording, Initial]) -> dict[Recording, Initial]
 
 def _ended(recording: Recording) -> bool:
     # gates are there to fire where an environment was made to fail
-    poisoned = recording.configuration.intervention.startswith("poison@")
-    return recording.status == "complete" or (poisoned and recording.status == "invalid")
+    done = Intervention.of(recording.configuration.intervention)
+    may_fail = done is not None and done.kind.poisons
+    return recording.status == "complete" or (may_fail and recording.status == "invalid")
 
 
 def _treatment(recording: Recording) -> str:

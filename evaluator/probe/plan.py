@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.text import plural
-from gpusimbench.schemas.treatment import Initial, Intervention, Vary, drawn
+from gpusimbench.schemas.treatment import KINDS, Initial, Intervention, Vary, drawn
 
 CONFIRMED = 2
 """Further runs of arms that differ."""
@@ -116,9 +116,10 @@ class Plan:
         if self.n_env > 1:
             yield Arm(self.n_env, str(Initial(self.spread, shift=max(1, self.n_env // 3))))
             yield Arm(self.n_env, str(Initial(self.spread, but=0)))
-            yield Arm(self.n_env, str(varied), str(Intervention("poison", at)))
-        for intervention in (Intervention("reset", at), Intervention("excursion", at, more), Intervention("set", at)):
-            yield Arm(self.n_env, str(varied), str(intervention))
+        for kind in KINDS.values():
+            intervention = Intervention(kind.name, at, more if kind.more else 0)
+            if kind.probed and intervention.treated(self.n_env):
+                yield Arm(self.n_env, str(varied), str(intervention))
         if saved := max(self.stride, at // self.stride * self.stride) % self.steps:  # of a step whose state is recorded
             yield from (replace(usual, snapshot=saved), Arm(self.n_env, f"snapshot:{saved}"))
         yield from (usual, plain)

@@ -22,30 +22,39 @@ from gpusimbench.evaluator.probe.pairs import Found, Pairs, held
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.text import plural
-from gpusimbench.schemas.treatment import Initial, Intervention
+from gpusimbench.schemas.treatment import KINDS, Intervention
 
 _WHY = 60  # characters of why an arm is missing
 
 
-def poison(arms: Arms) -> Asked | Missing:
-    """Environments beside one that is not finite."""
-    return _left_alone(arms, "poison", "one that is not finite")
+def left_alone(kind: str, others: str) -> Callable[[Arms], Asked | Missing]:
+    """The question of environments that are left alone, beside others that are treated so, in words."""
+
+    def ask(arms: Arms) -> Asked | Missing:
+        beside = _beside(arms, kind)
+        if isinstance(beside, Missing):
+            return beside
+        base, recording, done = beside
+        envs = sorted({*range(arms.n_env)} - {*done.treated(arms.n_env)})
+        if not envs:
+            return Missing("needs two environments")
+        return told(held(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside {others}")
+
+    return ask
 
 
-def bystanders(arms: Arms) -> Asked | Missing:
-    """Environments that are left alone while others are reset."""
-    return _left_alone(arms, "reset", "others that are reset")
+def goes_on(kind: str, what: str) -> Callable[[Arms], Asked | Missing]:
+    """The question of all environments, that go on after they were treated so, in words with {step} and {more}."""
 
+    def ask(arms: Arms) -> Asked | Missing:
+        beside = _beside(arms, kind)
+        if isinstance(beside, Missing):
+            return beside
+        base, recording, done = beside
+        said = what.format(step=done.step, more=done.more)
+        return told(held(Pairs(base, recording, same_slots(range(arms.n_env)))), said)
 
-def _left_alone(arms: Arms, kind: str, others: str) -> Asked | Missing:
-    beside = _beside(arms, kind)
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    envs = [env for env in range(arms.n_env) if not done.treated(env)]
-    if not envs:
-        return Missing("needs two environments")
-    return told(held(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside {others}")
+    return ask
 
 
 def fresh(arms: Arms) -> Asked | Missing:
@@ -56,19 +65,9 @@ def fresh(arms: Arms) -> Asked | Missing:
     if not arms.plain:
         return Missing("needs a run whose environments begin as a reset leaves them")
     recording, done = treated
-    envs = [env for env in range(arms.n_env) if done.treated(env)]
+    envs = done.treated(arms.n_env)
     pairs = Pairs(recording, arms.plain[0], same_slots(envs), ahead=done.step, first=1)
     return told(held(pairs), f"{len(envs)} environments after a reset at step {done.step}, and fresh ones")
-
-
-def restored(arms: Arms) -> Asked | Missing:
-    """All environments after an excursion from which they were restored."""
-    beside = _beside(arms, "excursion")
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    said = f"saved at step {done.step}, {done.more} further steps, restored"
-    return told(held(Pairs(base, recording, same_slots(range(arms.n_env)))), said)
 
 
 def process(arms: Arms) -> Asked | Missing:
@@ -83,21 +82,11 @@ def process(arms: Arms) -> Asked | Missing:
     return told(held(pairs), f"a snapshot of step {step}, restored in another process, and the run that saved it")
 
 
-def set_states(arms: Arms) -> Asked | Missing:
-    """All environments after they were given the positions and velocities that they had."""
-    beside = _beside(arms, "set")
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    found = held(Pairs(base, recording, same_slots(range(arms.n_env))))
-    return told(found, f"set at step {done.step} to the state that they had")
-
-
 def _treated(arms: Arms, kind: str) -> tuple[Recording, Intervention] | Missing:
     found = arms.treated.get(kind)
     if found is None:
         why = next((why for how, why in arms.failed.items() if f" {kind}@" in how), "")
-        return Missing(f"its run is {why}" if why else f"needs a run with --intervene {kind}@STEP")
+        return Missing(f"its run is {why}" if why else f"needs a run with --intervene {KINDS[kind].form}")
     return found, Intervention.parse(found.configuration.intervention)
 
 
@@ -309,12 +298,18 @@ QUESTIONS = (
     Question("number", "independent of the number of environments", _numbers),
     Question("slot", "independent of the slot", _slots),
     Question("neighbours", "independent of the neighbours' states", _neighbours),
-    Question("poison", "a NaN in one environment harms no other", poison),
-    Question("bystanders", "a reset leaves other environments alone", bystanders),
+    Question("poison", "a NaN in one environment harms no other", left_alone("poison", "one that is not finite")),
+    Question("bystanders", "a reset leaves other environments alone", left_alone("reset", "others that are reset")),
     Question("fresh", "a reset environment is as good as a fresh one", fresh),
-    Question("restored", "a restored state goes on as before", restored),
+    Question(
+        "restored", "a restored state goes on as before",
+        goes_on("excursion", "saved at step {step}, {more} further steps, restored"),
+    ),
     Question("process", "a snapshot goes on in another process as before", process),
     Question("device", "independent of the device", _device, gate=False, asked_of_few=True),
-    Question("set", "positions and velocities are the whole state", set_states, gate=False),
-)
+    Question(
+        "set", "positions and velocities are the whole state",
+        goes_on("set", "set at step {step} to the state that they had"), gate=False,
+    ),
+)  # fmt: skip
 """In the order of the report."""

@@ -18,7 +18,7 @@ from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import ENV, StateField
 from gpusimbench.schemas.mcap.reader import Container
-from gpusimbench.schemas.treatment import alike
+from gpusimbench.schemas.treatment import Intervention, alike
 
 _HASH_BYTES = 8  # that a file has for each step of each environment, whatever else it keeps of it
 _RATIO, _FREE_BYTES = 64, 8 << 20  # of these hashes compressed: environments of different actions have different ones
@@ -84,7 +84,8 @@ def apart_by_design(actions: tuple[str, ...], fields: tuple[StateField, ...], co
         return f"environments differ by --vary {configuration.vary}"
     if configuration.initial:
         return "the environments began in different states, so they differ by design"
-    if configuration.intervention.startswith(("reset@", "poison@")):
+    done, n_env = Intervention.of(configuration.intervention), configuration.n_env
+    if done and done.kind.changes and len(done.treated(n_env)) < n_env:
         return "some environments were changed on the way, so they differ by design"
     return ""
 

@@ -21,6 +21,7 @@ from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_LOCAL_POSITION, TOSS_POSITION, TOSS_ROTATION
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
 from gpusimbench.schemas.text import cut, plural
+from gpusimbench.schemas.treatment import Intervention
 
 Results = Sequence[GroupResult]
 
@@ -60,7 +61,8 @@ def for_probe(result: GroupResult) -> bool:
     key = result.group.key
     # states that a user gave are no probe's, nor are those that a scene with laws in closed form draws
     own = key.initial and not key.initial.startswith("states:") and not judged(result)
-    changed = key.intervention and not key.intervention.startswith("teacher@")
+    done = Intervention.of(key.intervention)
+    changed = done and done.kind.probed
     return bool(changed or (own and isinstance(result.metrics[FPS.name].value, Missing)))
 
 

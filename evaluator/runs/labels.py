@@ -12,7 +12,7 @@ from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.runs.groups import GroupKey, precisions
 from gpusimbench.schemas.provenance import engine_name
 from gpusimbench.schemas.text import cut, first, plural
-from gpusimbench.schemas.treatment import initial_words
+from gpusimbench.schemas.treatment import Intervention, initial_words
 from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS, shown_seeds
 
 Given = Mapping[str, frozenset[str]]
@@ -144,7 +144,8 @@ def _told_apart(name: str, key: GroupKey, rival: GroupKey) -> bool:
     if name == "initial" and key.initial and rival.initial:
         # states that are given to every environment differ with the number of environments, and with the measured
         # states that environments are set to later: what these follow from tells the two apart
-        teaches = "teacher@" in key.intervention + rival.intervention
+        done = (Intervention.of(key.intervention), Intervention.of(rival.intervention))
+        teaches = any(one is not None and one.kind.repeats for one in done)
         if key.n_env != rival.n_env or (teaches and key.intervention != rival.intervention):
             return False
     return bool(getattr(key, name) != getattr(rival, name))

@@ -149,8 +149,8 @@ def _wrongly_set(
 
 def set_every(configuration: RunConfiguration) -> int:
     """Steps after which a run is set to measured states again; 0 where it is not."""
-    intervention = Intervention.parse(configuration.intervention) if configuration.intervention else None
-    return intervention.step if intervention and intervention.teaches else 0
+    intervention = Intervention.of(configuration.intervention)
+    return intervention.step if intervention and intervention.kind.repeats else 0
 
 
 def _simulated(

@@ -1,16 +1,16 @@
-"""The arguments of gsb-record: what it takes, what each is where it is not given, and what does not go together."""
+"""The arguments of gsb-record: what it takes, and what each is where it is not given."""
 
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
-from typing import Any
 
+from gpusimbench.recorder.command.parser import RecordParser
 from gpusimbench.schemas.commands.command_line import add_common
-from gpusimbench.schemas.commands.parser import Parser
-from gpusimbench.schemas.configuration import CAPTURE_MODES, USUAL_PHASES
-from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.configuration import CAPTURE_MODES
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.treatment import KINDS
 
 _EPILOG = """\
 exit codes:
@@ -66,59 +66,11 @@ _USAGE = """\
        %(prog)s --list [NAME] [--json]"""
 
 
-_SIMULATED: dict[str, Any] = {
-    "scene": None,
-    "model": None,
-    "keyframe": "",
-    "actions": "",
-    "sweep": None,
-    "n_env": None,
-    "tosses": None,
-    "runs": 10,
-    "dt": None,
-    "seed": 0,
-    "option": (),
-    "impl": (),
-    "backend": (),
-    "solver": (),
-    "device": (),
-    "fitted": (),
-    "initial": "",
-    "vary": "",
-    "intervene": "",
-    "snapshot": "",
-    "determinism": "default",
-    "timeout": 0.0,
-    "phases": ",".join(USUAL_PHASES),
-    "steps": None,
-    "stride": 1,
-    "capture": CAPTURE_MODES[0],
-    "keep": "",
-    "view_env": (),
-    "no_view": False,
-    "warmup": None,
-    "timed_steps": None,
-    "ray": None,
-    "ray_resource": None,
-}
-"""Arguments that make sense for a simulator only, and what each is where it is not given."""
-
 SCENE = "inclined-collision"
 """The scene where nothing says which."""
 
 N_ENV = 16
 """Environments where nothing says how many."""
-
-_MEASURED: dict[str, Any] = {
-    "scene": SCENE, "tosses": None, "trials": None, "unit": None, "sample_time": None,
-}  # fmt: skip
-"""The same for real trials."""
-
-_REPLAYED: dict[str, Any] = {
-    "runs": 1, "option": (), "timeout": 0.0, "phases": None, "view_env": (), "no_view": False, "from_step": None,
-    "ray": None, "ray_resource": None, "allow_model": False,
-}  # fmt: skip
-"""The same for replays; and so are the options that are short for --option."""
 
 OUT, OUT_OF_REPLAYS = Path("runs"), Path("replays")  # replays are no further runs of a set
 
@@ -131,9 +83,9 @@ SHORTHANDS = {
 """Options of simulators that are common enough for a switch of their own."""
 
 
-def parser() -> Parser:
+def parser() -> RecordParser:
     """The command's arguments."""
-    p = Parser(
+    p = RecordParser(
         prog="gsb-record",
         description="Run a scene in N identical environments on a simulator; write one MCAP recording per run, "
         "each run in a fresh process.",
@@ -159,193 +111,262 @@ def parser() -> Parser:
     )
     p.add_argument("--json", action="store_true", help="print results (or the list) as JSON on standard output")
 
-    what = p.add_argument_group("what is run")
-    what.add_argument("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
-    what.add_argument("--replay", type=Path, metavar="FILE", help="repeat the run of a recording")
-    what.add_argument("--scene", metavar="NAME", help=f"scene; see --list (default: {SCENE})")
-    what.add_argument(
+    take = partial(p.take, p.add_argument_group("what is run"))
+    take("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
+    take("--replay", type=Path, metavar="FILE", help="repeat the run of a recording")
+    take("--scene", metavar="NAME", help=f"scene; see --list (default: {SCENE})", simulated=None, measured=SCENE)
+    take(
         "--model",
         type=Path,
         metavar="FILE.xml",
         help="instead of --scene: a model file of your own, MJCF or URDF, with the files that it refers to; the "
         "recording carries them",
+        simulated=None,
     )
-    what.add_argument(
+    take(
         "--actions",
         metavar="none|random[:SPREAD]|keyframe|FILE.npz",
         help="with --model: controls of the actuators. random draws each control anew at each step, uniformly within "
         "its range (SPREAD: the share of the range, about its middle); keyframe holds those of the keyframe; FILE.npz "
         "has controls [step, actuator], or [step, env, actuator] (default: random, if the model has actuators)",
+        simulated="",
     )
-    what.add_argument(
+    take(
         "--keyframe",
         metavar="NAME",
         help="with --model: the keyframe that environments begin in, or none for the model's reference state "
         "(default: the model's first keyframe, if it has one)",
+        simulated="",
     )
-    what.add_argument(
+    take(
         "--allow-model",
         action="store_true",
         default=None,
         help="with --replay: load the model files that the recording carries; they are a stranger's input to the "
         "engine's parser",
+        replayed=False,
     )
-    what.add_argument(
-        "--n-env", type=int, metavar="N", help=f"number of environments (default: {N_ENV}; of cube-toss: one per toss)"
+    take(
+        "--n-env",
+        type=int,
+        metavar="N",
+        help=f"number of environments (default: {N_ENV}; of cube-toss: one per toss)",
+        simulated=None,
     )
-    what.add_argument(
+    take(
         "--sweep",
         metavar="A..B[:F]",
         help="instead of --n-env: record A, A*F, A*F*F... and B environments, powers of two (F: 2)",
+        simulated=None,
     )
-    what.add_argument(
+    take(
         "--runs",
         type=int,
         metavar="R",
-        help=f"independent runs (default: {_SIMULATED['runs']}; of --replay: 1)",
+        help="independent runs (default: 10; of --replay: 1)",
+        simulated=10,
+        replayed=1,
     )
-    what.add_argument("--dt", type=float, metavar="S", help="time step [s] (default: the scene's, such as 0.01)")
-    what.add_argument(
+    take("--dt", type=float, metavar="S", help="time step [s] (default: the scene's, such as 0.01)", simulated=None)
+    take(
         "--seed",
         type=int,
         metavar="N",
-        help=f"seed of random numbers, the same in every run (default: {_SIMULATED['seed']})",
+        help="seed of random numbers, the same in every run (default: 0)",
+        simulated=0,
     )
-    what.add_argument("--option", action="append", metavar="NAME=VALUE", help="option of the simulator; repeatable")
+    take(
+        "--option",
+        action="append",
+        metavar="NAME=VALUE",
+        help="option of the simulator; repeatable",
+        simulated=(),
+        replayed=(),
+    )
     for name, meaning in SHORTHANDS.items():
-        what.add_argument(f"--{name}", action="append", metavar="X", help=f"{meaning}: short for --option {name}=X")
-    what.add_argument(
+        take(
+            f"--{name}",
+            action="append",
+            metavar="X",
+            help=f"{meaning}: short for --option {name}=X",
+            simulated=(),
+            replayed=(),
+        )
+    take(
         "--fitted",
         action="append",
         metavar="NAME=DATA",
         help="state that the value of this --option was fitted, and to what, such as solref=even tosses; repeatable "
         "(default: nothing was fitted)",
+        simulated=(),
     )
-    what.add_argument(
+    take(
         "--initial",
         metavar="random:SPREAD|FILE",
         help="initial states. random:SPREAD gives each environment velocities of bodies [m/s] and joint angles [rad] "
         "drawn within +-SPREAD of the scene's. FILE.mcap or FILE.mcap@STEP takes positions and velocities from a step "
         "of a recording (default: its first), also of another simulator. FILE.npz has arrays named GROUP/FIELD "
         "(default: the scene's initial state in all environments)",
+        simulated="",
     )
-    what.add_argument(
+    take(
         "--vary",
         metavar="NAME:SPREAD[,NAME:SPREAD]",
         help="parameters that differ from environment to environment: mass:0.1,friction:0.2,size:0.05 multiplies each "
         "moving body's by a factor of its own in each environment, drawn within 1+-SPREAD (default: none)",
+        simulated="",
     )
-    what.add_argument(
+    take(
         "--tosses",
         type=Path,
         metavar="PATH",
         help="measured tosses for scene cube-toss: a folder of .pt files as published by ContactNets, or an .npz file. "
         "Each environment begins as one toss; --sim real records the tosses themselves (default: $GSB_CUBE_TOSS, or "
         "else a synthetic set)",
+        simulated=None,
+        measured=None,
     )
-    what.add_argument(
+    take(
         "--intervene",
         metavar="KIND@STEP",
-        help="change the state after a captured step: reset@STEP resets every second environment; poison@STEP makes "
-        "the state of one environment not finite; set@STEP writes back the current positions and velocities; "
-        "excursion@STEP+MORE saves the state, makes MORE steps that are not recorded, and restores the state. "
-        "gsb-probe uses these. teacher@STEPS, of cube-toss, sets every environment to the measured state of its toss "
-        "after each STEPS steps: gsb-eval then gives the error after so many steps (default: none)",
+        help="change the state after a captured step. "
+        + "; ".join(f"{kind.form} {kind.does}" for kind in KINDS.values())
+        + ". gsb-probe uses these, but for teacher, which is for cube-toss: gsb-eval then gives the error after so "
+        "many steps (default: none)",
+        simulated="",
     )
-    what.add_argument(
+    take(
         "--from",
         dest="from_step",
         type=int,
         metavar="STEP",
         help="with --replay: begin at the recording's snapshot of this step, and capture the rest",
+        replayed=None,
     )
-    what.add_argument(
+    take(
         "--determinism",
         metavar="LEVEL",
         help="determinism level of the engine; see --list NAME (default: default, the engine as it ships)",
+        simulated="default",
     )
-    what.add_argument("--timeout", type=float, metavar="S", help="end each run after this time [s] (default: 0, never)")
+    take(
+        "--timeout",
+        type=float,
+        metavar="S",
+        help="end each run after this time [s] (default: 0, never)",
+        simulated=0.0,
+        replayed=0.0,
+    )
 
-    how = p.add_argument_group("what is recorded")
-    how.add_argument(
+    take = partial(p.take, p.add_argument_group("what is recorded"))
+    take(
         "--phases",
         metavar="LIST",
         help="any of timed (throughput), capture (states) and import (what the engine made of a model file, which "
-        f"gsb-import uses) (default: {_SIMULATED['phases']}; --replay: as recorded)",
+        "gsb-import uses) (default: timed,capture; --replay: as recorded)",
+        simulated="timed,capture",
+        replayed=None,
     )
-    how.add_argument("--steps", type=int, metavar="N", help="number of captured steps (default: 5 s of simulated time)")
-    how.add_argument(
-        "--stride", type=int, metavar="K", help=f"record every K-th state (default: {_SIMULATED['stride']})"
+    take(
+        "--steps",
+        type=int,
+        metavar="N",
+        help="number of captured steps (default: 5 s of simulated time)",
+        simulated=None,
     )
-    how.add_argument(
+    take("--stride", type=int, metavar="K", help="record every K-th state (default: 1)", simulated=1)
+    take(
         "--snapshot",
         metavar="STEP[,STEP...]",
         help="save the engine's complete state after these captured steps; --replay FILE --from STEP continues there "
         "(default: none)",
+        simulated="",
     )
-    how.add_argument(
+    take(
         "--capture",
         choices=CAPTURE_MODES,
         help="lossless: write while stepping, and wait if the disk is slower; memory: write after the last step "
-        f"(default: {_SIMULATED['capture']})",
+        "(default: lossless)",
+        simulated="lossless",
     )
-    how.add_argument(
+    take(
         "--keep",
         metavar="failing[,within:M]",
         help="write only the states from 100 steps before to 10 steps after a failure, of the first 16 environments "
         "that fail. An environment fails if its state is not finite, a buffer overflows, or a body is further than M "
         "metres from the environment's origin along an axis (default: all states of all environments)",
+        simulated="",
     )
-    how.add_argument(
+    take(
         "--view-env",
         type=int,
         action="append",
         metavar="E",
         help="environment that viewers such as Foxglove and rerun show; repeatable, up to 4 times (default: 0)",
+        simulated=(),
+        replayed=(),
     )
-    how.add_argument("--no-view", action="store_true", default=None, help="write nothing for viewers")
-    how.add_argument(
+    take(
+        "--no-view",
+        action="store_true",
+        default=None,
+        help="write nothing for viewers",
+        simulated=False,
+        replayed=False,
+    )
+    take(
         "--warmup",
         type=int,
         metavar="N",
         help="untimed steps first (default: 100; of cube-toss: 10)",
+        simulated=None,
     )
-    how.add_argument(
+    take(
         "--timed-steps",
         type=int,
         metavar="N",
         help="number of timed steps; 100 and more are timed again, from the initial states on, until they took 1 s "
         "together (default: 1000; of cube-toss: 100)",
+        simulated=None,
     )
-    how.add_argument(
+    take(
         "--compression",
         choices=("none", "lz4", "zstd"),
         default="none",
         help="compression of the recordings (default: none)",
     )
-    how.add_argument(
+    take(
         "--out",
         type=Path,
         metavar="DIR",
         help=f"folder of the recordings (default: {OUT}/; of --replay: {OUT_OF_REPLAYS}/)",
     )
 
-    across = p.add_argument_group("where it is run")
-    across.add_argument(
+    take = partial(p.take, p.add_argument_group("where it is run"))
+    take(
         "--ray",
         metavar="ADDRESS",
         help="make the runs on a Ray cluster (HOST:PORT or auto), or on all GPUs of this machine (local)",
+        simulated=None,
+        replayed=None,
     )
-    across.add_argument("--ray-resource", metavar="NAME", help="use only nodes with this Ray resource")
+    take(
+        "--ray-resource",
+        metavar="NAME",
+        help="use only nodes with this Ray resource",
+        simulated=None,
+        replayed=None,
+    )
 
-    real = p.add_argument_group("real trials (--sim real)")
-    real.add_argument("--trials", type=Path, metavar="CSV", help="positions of the cubes: trial,cube,x,y[,z]")
-    real.add_argument("--unit", choices=("m", "cm"), help="unit of the positions in the CSV")
-    real.add_argument(
+    take = partial(p.take, p.add_argument_group("real trials (--sim real)"))
+    take("--trials", type=Path, metavar="CSV", help="positions of the cubes: trial,cube,x,y[,z]", measured=None)
+    take("--unit", choices=("m", "cm"), help="unit of the positions in the CSV", measured=None)
+    take(
         "--sample-time",
         type=float,
         metavar="S",
         help="time at which the positions were measured [s] (default: 5.0)",
+        measured=None,
     )
     p.show_first(
         "--list", "--setup", "--sim", "--scene", "--n-env", "--runs", "--option", "--determinism", "--phases",
@@ -362,27 +383,3 @@ def names() -> dict[str, tuple[str, ...]]:
 
     sims, scenes = tuple(simulators()), scene_names()
     return {"sim": (*sims, REAL), "scene": scenes, "setup": tuple(SPECIFICATIONS), "list": (*sims, *scenes)}
-
-
-def fill(arguments: argparse.Namespace) -> None:
-    """Give what was not given its default; UsageError for what was given and would be ignored."""
-    if arguments.replay is not None:
-        own = {**_REPLAYED, **dict.fromkeys(SHORTHANDS, ())}
-        foreign, whose, doing = {**_SIMULATED, **_MEASURED}, "--sim", "--replay takes this value from the recording"
-    elif arguments.sim == REAL:
-        own, foreign, whose, doing = _MEASURED, _SIMULATED, "a simulator", f"--sim {REAL} does not use this option"
-    else:
-        own, foreign, whose = _SIMULATED, _MEASURED, f"--sim {REAL}"
-        doing = f"--sim {arguments.sim} does not use this option"
-    for name in foreign:
-        if name not in own and getattr(arguments, name) is not None:
-            raise UsageError(f"--{name.replace('_', '-')} is for {whose}; {doing}")
-    if arguments.from_step is not None and arguments.replay is None:
-        raise UsageError("--from needs --replay FILE: it is a step of that recording")
-    if arguments.ray_resource is not None and arguments.ray is None:
-        raise UsageError("--ray-resource needs --ray ADDRESS: it chooses nodes of that cluster")
-    if arguments.sweep is not None and arguments.n_env is not None:
-        raise UsageError("--sweep and --n-env cannot be used together: --sweep sets the number of environments")
-    for name, default in own.items():
-        if getattr(arguments, name) is None:
-            setattr(arguments, name, default)

@@ -8,7 +8,8 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from gpusimbench.recorder.command.arguments import N_ENV, OUT, OUT_OF_REPLAYS, SCENE, SHORTHANDS, fill, parser
+from gpusimbench.recorder.command.arguments import N_ENV, OUT, OUT_OF_REPLAYS, SCENE, SHORTHANDS, parser
+from gpusimbench.recorder.command.parser import fill
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.output import flush, show, show_document, show_path
 from gpusimbench.schemas.commands.progress import Progress, stage
@@ -30,7 +31,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
-        from gpusimbench.recorder.run import initial, intervention, keep, teacher, vary
+        from gpusimbench.recorder.run import initial, intervention, keep, vary
         from gpusimbench.recorder.scenes.actions import table
         from gpusimbench.recorder.scenes.model.scene import ModelScene
         from gpusimbench.recorder.sets.given import read_given
@@ -47,7 +48,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     if arguments.tosses is not None and begins:
         raise UsageError("--tosses and --initial both say how environments begin; give one of them")
     tossed = bool(scene.tosses and not begins and arguments.sweep is None)
-    every = teacher.rows(arguments.intervene, scene, tossed=tossed, dt=dt, stride=arguments.stride)
+    every = intervention.rows(arguments.intervene, scene, tossed=tossed, dt=dt, stride=arguments.stride)
     if tossed:
         tosses = read_tosses(arguments.tosses)
         if arguments.n_env is None:
@@ -142,7 +143,7 @@ def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
             f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}{hint}"
         )
     if refusal := adapter.refusal(simulator, scene, options):
-        others = "" if scene.needs() <= adapter.abilities else ", ".join(able(scene))
+        others = "" if scene.needs() <= adapter.offered(options) else ", ".join(able(scene))
         raise UsageError(f"{refusal}; simulators that can: {others}" if others else refusal)
     if scene.actions and (refusal := refusal_of(scene.actions, configuration)):
         raise UsageError(refusal)
@@ -320,8 +321,9 @@ def _set_up(arguments: argparse.Namespace) -> int:
 
 def run(given: list[str]) -> int:
     """Do what the arguments say; returns the exit code. Errors as of schemas.errors."""
+    command_line = parser()
     try:
-        arguments = parser().parse_args(given)
+        arguments = command_line.parse_args(given)
     except SystemExit:
         flush()  # --help and --version only write to a buffer, and an error there would come too late
         raise
@@ -341,7 +343,7 @@ def run(given: list[str]) -> int:
         return _set_up(arguments)
     if not arguments.sim and arguments.replay is None:
         raise UsageError("no simulator given: use --sim NAME; gsb-record --list shows the simulators")
-    fill(arguments)
+    fill(arguments, command_line.unless_given)
     with shielded():
         from gpusimbench.recorder import clock
         from gpusimbench.recorder.sets.progress import say

@@ -19,9 +19,9 @@ from gpusimbench.recorder.conformance.scene import DT, LANDING, N_ENV, N_STEP, c
 from gpusimbench.recorder.conformance.trajectory import Trajectory
 from gpusimbench.recorder.conformance.verdict import NotApplicable
 from gpusimbench.recorder.options import parse_options
-from gpusimbench.recorder.run.environment import apply_environment
+from gpusimbench.recorder.run.engine import apply_environment
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.registry import SCENES
+from gpusimbench.recorder.scenes.registry import SCENES, make_scene
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import Captured, Description, Simulator, States
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS
@@ -150,7 +150,7 @@ class Subject:
     @property
     def scenes(self) -> tuple[Scene, ...]:
         """Built-in scenes that need nothing beyond the adapter's abilities."""
-        scenes = (make() for make in SCENES.values())
+        scenes = map(make_scene, SCENES)
         return tuple(scene for scene in scenes if not self.adapter.refusal(self.name, scene, self.options))
 
     @property

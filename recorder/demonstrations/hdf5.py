@@ -20,8 +20,7 @@ from gpusimbench.recorder.demonstrations.arrays import (
     read_array,
     read_tree,
 )
-from gpusimbench.recorder.demonstrations.data_set import DataSet, Made
-from gpusimbench.recorder.demonstrations.demonstration import Arrays, Demonstration, checked
+from gpusimbench.recorder.demonstrations.data_set import Arrays, DataSet, Demonstration, Made, checked
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.text import few
 

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.demonstrations.data_set import DataSet, read_json
-from gpusimbench.recorder.demonstrations.demonstration import Demonstration
+from gpusimbench.recorder.demonstrations.data_set import DataSet, Demonstration, read_json
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 
 INFO = Path("meta") / "info.json"

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.recorder.demonstrations.arrays import SUFFIXES, is_group, member, opened_file, read_array, read_tree
-from gpusimbench.recorder.demonstrations.data_set import DataSet, Made, name_of, read_json
-from gpusimbench.recorder.demonstrations.demonstration import Demonstration, checked
+from gpusimbench.recorder.demonstrations.data_set import DataSet, Demonstration, Made, checked, name_of, read_json
 from gpusimbench.recorder.vector.origin import STATED
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.recorder.demonstrations.arrays import SUFFIXES, check_texts, is_group, member, opened_file, read_array
-from gpusimbench.recorder.demonstrations.data_set import DataSet, Made, name_of
-from gpusimbench.recorder.demonstrations.demonstration import Arrays, Demonstration, checked
+from gpusimbench.recorder.demonstrations.data_set import Arrays, DataSet, Demonstration, Made, checked, name_of
 from gpusimbench.recorder.vector.origin import SUITED
 from gpusimbench.schemas.errors import DamagedRecording
 

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.demonstrations.data_set import DataSet
-from gpusimbench.recorder.demonstrations.demonstration import Demonstration
+from gpusimbench.recorder.demonstrations.data_set import DataSet, Demonstration
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.fields import GIVEN, field_of, recorded_dtype
 from gpusimbench.recorder.vector.infos import array_name

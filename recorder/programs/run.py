@@ -1,4 +1,4 @@
-"""One run of a program: a fresh process, its folder, its end."""
+"""One run of a program: a fresh process, its folder, its memory, its end."""
 
 from __future__ import annotations
 
@@ -10,17 +10,58 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.probes.sampling import Sampler
 from gpusimbench.recorder.process.launch import Interruptions, how_it_died, last_line
 from gpusimbench.recorder.programs.descendants import end_all
 from gpusimbench.recorder.programs.folder import VARIABLE, describe
-from gpusimbench.recorder.programs.memory import ProgramMemory
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.commands.parent import signalled_at_its_end
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.writing import create
+
+_INTERVAL_S = 0.1
+HOST = "host"
+
+
+class ProgramMemory(Sampler[int]):
+    """Reads 10 times a second the resident memory of a process and its descendants, and what each GPU has in use.
+
+    NVML numbers processes by another namespace in most containers, so that memory of a GPU is that of the whole device.
+    """
+
+    def __init__(self, pid: int, gpus: Gpus) -> None:
+        super().__init__("memory of the program", _INTERVAL_S)
+        self._pid = pid
+        self._gpus = gpus
+        self.peaks: dict[str, int] = {}  # the largest reading of each source so far: "host", "gpu0", ... [bytes]
+
+    def _read(self) -> None:
+        self._try(HOST, self._read_host)
+        for index in range(len(self._gpus)):
+            self._try(f"gpu{index}", partial(self._read_gpu, index))
+
+    def _read_host(self) -> None:
+        import psutil
+
+        root = psutil.Process(self._pid)
+        total = 0
+        for process in (root, *root.children(recursive=True)):
+            try:
+                total += process.memory_info().rss
+            except psutil.Error:  # it has ended
+                continue
+        self._note(HOST, total)
+
+    def _read_gpu(self, index: int) -> None:
+        self._note(f"gpu{index}", self._gpus.device_memory(index)[0])
+
+    def _note(self, source: str, used: int) -> None:
+        self.peaks[source] = max(used, self.peaks.get(source, 0))
+
 
 GRACE_S = 10.0
 """How long a program whose time is over may take to end its recordings, before it is killed [s]."""

@@ -15,10 +15,9 @@ from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.capture.writing import Block, Writing
 from gpusimbench.recorder.run.given_actions import begin_anew, prepare, write_applied
-from gpusimbench.recorder.run.intervention import intervene
+from gpusimbench.recorder.run.intervention import Teacher, intervene
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.run.start import saved
-from gpusimbench.recorder.run.teacher import Teacher
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS
@@ -102,7 +101,7 @@ class CapturePhase:
         """Step from the initial state to the last step; what speaks against the states is a gate of the journal."""
         c, sink = self._configuration, self._journal.sink
         view = self._view(simulator.scene, description) if c.view else None
-        intervention = Intervention.parse(c.intervention) if c.intervention else None
+        intervention = Intervention.of(c.intervention)
         writer = self.writer = StateWriter(
             sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, first_step=c.first_step, view=view,
             may_fail=intervention.poisoned(c.n_env) if intervention else frozenset(),
@@ -123,7 +122,7 @@ class CapturePhase:
             snapshots[step] = saved(simulator)
 
         between = [(step, partial(save, step)) for step in c.snapshots]
-        if intervention and intervention.teaches:
+        if intervention and intervention.kind.repeats:
             teacher = Teacher(self._given, simulator, description)
             between += [(step, partial(teacher.set, number)) for number, step in enumerate(intervention.stops(c.steps))]
         elif intervention and intervention.step >= c.first_step:

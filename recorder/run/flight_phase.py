@@ -76,7 +76,7 @@ class FlightPhase:
         self, simulator: Simulator, description: Description, flight: Flight, writer: FlightWriter, clock: CaptureClock
     ) -> None:
         c = self._configuration
-        intervention = Intervention.parse(c.intervention) if c.intervention else None
+        intervention = Intervention.of(c.intervention)
 
         def look(failures: NDArray[np.int64], last_step: int) -> None:
             if last_step:

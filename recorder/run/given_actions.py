@@ -30,11 +30,11 @@ def streams_of(configuration: RunConfiguration) -> Streams:
 def begin_anew(simulator: Simulator, configuration: RunConfiguration) -> None:
     """Before the first step of a phase with an intervention: the actions of environments that will be reset begin anew
     then, so that they are those of environments that have just begun."""
-    intervention = Intervention.parse(configuration.intervention) if configuration.intervention else None
-    if intervention is None or intervention.kind != "reset":
+    intervention = Intervention.of(configuration.intervention)
+    if intervention is None or not intervention.kind.restarts:
         return
-    reset = [intervention.treated(env) for env in range(configuration.n_env)]
-    begun = np.where(reset, np.uint32(intervention.step), np.uint32(0))
+    begun = np.zeros(configuration.n_env, dtype=np.uint32)
+    begun[intervention.treated(configuration.n_env)] = intervention.step
     simulator.streams = replace(simulator.streams, begun=begun)
 
 

@@ -11,7 +11,7 @@ from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.counters import CONTACTS
+from gpusimbench.recorder.simulators.evidence import CONTACTS
 from gpusimbench.schemas.arrays import MEDIA_TYPE
 from gpusimbench.schemas.imported import DROP, IMPORTED, TRIALS, Trials
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas.configuration import CAPTURE_MODES, RunConfiguration
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.treatment import MOST_METRES, Intervention, Keep
+from gpusimbench.schemas.treatment import KINDS, MOST_METRES, Intervention, Keep
 
 
 def parse(text: str) -> str:
@@ -35,8 +35,10 @@ def check(configuration: RunConfiguration, scene: Scene) -> None:
         raise UsageError(f"{whose} writes no states while nothing fails, so viewers have none; leave --view-env out")
     if c.snapshots or c.first_step:
         raise UsageError(f"{whose} goes together with neither --snapshot nor --from")
-    if c.intervention and Intervention.parse(c.intervention).kind != "poison":
-        raise UsageError(f"{whose} goes together with --intervene poison@STEP alone, not with {c.intervention}")
+    intervention = Intervention.of(c.intervention)
+    if intervention and not intervention.kind.poisons:
+        alone = " or ".join(kind.form for kind in KINDS.values() if kind.poisons)
+        raise UsageError(f"{whose} goes together with --intervene {alone} alone, not with {c.intervention}")
     if Keep.parse(c.keep).within is not None and not scene.groups():
         raise UsageError(
             f"{whose}: scene '{scene.name}' has no free bodies, whose positions could leave bounds; use --keep failing"

@@ -32,8 +32,7 @@ from gpusimbench.recorder.probes.host import describe_host, numeric_environment,
 from gpusimbench.recorder.probes.software import describe_software, package_list
 from gpusimbench.recorder.run import vary
 from gpusimbench.recorder.run.capture_phase import CapturePhase
-from gpusimbench.recorder.run.engine import Engine
-from gpusimbench.recorder.run.environment import apply_environment
+from gpusimbench.recorder.run.engine import Engine, apply_environment
 from gpusimbench.recorder.run.flight_phase import FlightPhase
 from gpusimbench.recorder.run.given_actions import streams_of
 from gpusimbench.recorder.run.import_phase import write_imported, write_trials

@@ -19,8 +19,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.capture.evidence import EvidenceWriter
-from gpusimbench.recorder.capture.motion import MOVING, with_motion
+from gpusimbench.recorder.capture.evidence import MOVING, EvidenceWriter, with_motion
 from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.states import declare_fingerprints, write_fingerprints
 from gpusimbench.recorder.run.engine import Engine

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.schemas.provenance import Counter
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -33,3 +35,12 @@ def joined(parts: Sequence[Evidence]) -> Evidence | None:
     counts = {name: np.concatenate([part.counts[name] for part in parts]) for name in parts[0].counts}
     overflow = [part.overflow for part in parts if part.overflow is not None]
     return Evidence(counts, np.concatenate(overflow) if overflow else None)
+
+
+CONTACTS = Counter("contacts", "contact points that the engine kept")
+CONSTRAINT_ROWS = Counter("constraint_rows", "scalar constraints handed to the solver")
+SOLVER_ITERATIONS = Counter("solver_iterations", "iterations that the constraint solver made")
+AWAKE_BODIES = Counter("awake_bodies", "bodies that were simulated, not put to sleep")
+CANDIDATE_PAIRS = Counter(
+    "candidate_pairs", "pairs of shapes whose bounding spheres overlap, in the fullest collision function"
+)

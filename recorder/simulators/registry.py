@@ -12,8 +12,8 @@ from importlib import import_module, metadata
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 
+from gpusimbench.recorder.failure import in_words
 from gpusimbench.recorder.interruption import blocked
-from gpusimbench.recorder.plugins import in_words
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.schemas.commands.suggestion import did_you_mean
@@ -256,6 +256,6 @@ def able(scene: Scene) -> tuple[str, ...]:
             adapter = entry.adapter()
         except UsageError:
             continue
-        if scene.needs() <= adapter.abilities:
+        if scene.needs() <= adapter.offered(adapter.Options()):
             found.append(name)
     return tuple(found)

@@ -11,7 +11,7 @@ from typing import Any
 
 from gpusimbench.recorder.vector.device import states, tensors
 from gpusimbench.recorder.vector.device.states import is_functional
-from gpusimbench.recorder.vector.images import Images
+from gpusimbench.recorder.vector.fields import Images
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.schemas.errors import UsageError
 

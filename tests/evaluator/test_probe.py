@@ -59,15 +59,16 @@ def _who(env: int, n_env: int, initial: str) -> int:
 
 def _world(arm: Arm, planted: Planted | None) -> Callable[[NDArray[Any], int], NDArray[Any]]:
     """Positions of a simulator on which nothing depends that should not: each body moves by who it is, and by steps."""
-    done = Intervention.parse(arm.intervention) if arm.intervention else None
+    done = Intervention.of(arm.intervention)
 
     def positions(start: NDArray[Any], step: int) -> NDArray[Any]:
         found = start.copy()
         for env in range(arm.n_env):
             who, age = _who(env, arm.n_env, arm.initial), step
-            if done is not None and done.kind == "reset" and done.treated(env) and step > done.step:
+            changed = done is not None and step > done.step and env in done.treated(arm.n_env)
+            if done is not None and changed and done.kind.restarts:
                 who, age = 0, step - done.step
-            if done is not None and done.kind == "poison" and done.treated(env) and step > done.step:
+            if done is not None and changed and done.kind.poisons:
                 found[env] = np.nan
                 continue
             found[env] += np.float32(0.001) * age * np.sin(np.arange(27, dtype=np.float32) + who)[:, None]
@@ -116,7 +117,10 @@ def _moved(env: int, body: int, step: int, ulps: int = 1) -> Planted:
 
 
 ARMS = [arm for arm in PLAN.arms() if not arm.snapshot and not arm.continued]
-"""plain, usual, 1, 2 and 8 environments, shifted, all but one, poison, reset, excursion, set, usual, plain."""
+"""plain, usual, 1, 2 and 8 environments, shifted, all but one, one for each kind of intervention, usual, plain."""
+
+TREATED = {done.name: at for at, arm in enumerate(ARMS) if (done := Intervention.of(arm.intervention))}
+USUAL_AGAIN, PLAIN_AGAIN = len(ARMS) - 2, len(ARMS) - 1
 
 
 def test_nothing_planted(tmp_path: Path) -> None:
@@ -124,13 +128,14 @@ def test_nothing_planted(tmp_path: Path) -> None:
     found = _probe(tmp_path)
     assert [q.key for q in QUESTIONS if not q.asked_of_few] == list(found)
     others = {"capture", "process"}
+    yes = len(found) - len(others)
     assert {key for key, finding in found.items() if finding.answer is Answer.YES} == found.keys() - others
     assert {found[key].answer for key in others} == {Answer.NOT_ASKED}
-    assert verdict_of(list(found.values())) == "10 of 10 answers are yes"
+    assert verdict_of(list(found.values())) == f"{yes} of {yes} answers are yes"
     runs, envs, *others = (one.title for one in found.values() if one.answer is Answer.YES)
-    of_two = f"10 of 10 answers are yes ({runs}, {envs} and {len(others)} more)"
+    of_two = f"{yes} of {yes} answers are yes ({runs}, {envs} and {len(others)} more)"
     assert verdict_of(list(found.values()), named=2) == of_two
-    assert verdict_of([found["runs"]], named=2) == f"1 of 1 answers are yes ({runs})"
+    assert verdict_of([found["runs"]], named=2) == f"1 of 1 answers are yes ({found['runs'].title})"
     assert verdict_of([found["capture"]], named=2) == "nothing was asked"
     assert evidence(found["number"]) == "bit-identical: 7 pairs, 31 steps"
     # two runs agreed with the first of their arm: 1 - 0.05^(1/2)
@@ -141,22 +146,22 @@ def test_nothing_planted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("index", "env", "step", "also", "env_a"),
     [
-        (11, 2, 7, "runs", 2),
+        (USUAL_AGAIN, 2, 7, "runs", 2),
         (0, 3, 9, "envs", 0),
         (3, 1, 5, "number", 1),
         (5, 1, 4, "slot", 2),
         (6, 0, 6, "neighbours", 0),
-        (7, 2, AT + 2, "poison", 2),
-        (8, 1, AT + 2, "bystanders", 1),
-        (8, 2, AT + 3, "fresh", 2),
-        (9, 3, AT + 1, "restored", 3),
-        (10, 0, AT + 1, "set", 0),
+        (TREATED["poison"], 2, AT + 2, "poison", 2),
+        (TREATED["reset"], 1, AT + 2, "bystanders", 1),
+        (TREATED["reset"], 2, AT + 3, "fresh", 2),
+        (TREATED["excursion"], 3, AT + 1, "restored", 3),
+        (TREATED["set"], 0, AT + 1, "set", 0),
     ],
 )
 def test_one_thing_planted(tmp_path: Path, index: int, env: int, step: int, also: str, env_a: int) -> None:
     """Say no to the question that the planted unit in the last place is about: where, and by how much."""
     # of runs that are alike, both are alike, unless that is what the question is about
-    found = _probe(tmp_path, {at: _moved(env, 5, step) for at in ((0, 12) if index == 0 else (index,))})
+    found = _probe(tmp_path, {at: _moved(env, 5, step) for at in ((0, PLAIN_AGAIN) if index == 0 else (index,))})
     asked = found[also]
     # where runs differ anyway, a difference has no known cause
     others = {Answer.YES, Answer.NOT_ASKED} | ({Answer.OPEN} if also == "runs" else set())
@@ -195,7 +200,7 @@ def test_far_apart(tmp_path: Path) -> None:
         if step >= 12:
             positions[3, 4, 2] += np.float32(0.01) * (15 - abs(step - 20))
 
-    asked = _probe(tmp_path, {9: fly})["restored"]
+    asked = _probe(tmp_path, {TREATED["excursion"]: fly})["restored"]
     assert asked.answer is Answer.NO
     assert asked.found is not None
     assert asked.found.level is Level.DIFFERENT
@@ -229,12 +234,13 @@ def test_switches_that_follow_the_number(tmp_path: Path) -> None:
 
 def test_noise_leaves_causes_open(tmp_path: Path) -> None:
     """Blame nothing for a difference where runs of the same configuration differ, too; what is equal is still yes."""
-    found = _probe(tmp_path, {11: _moved(2, 5, 7), 9: _moved(1, 5, 12)})
+    found = _probe(tmp_path, {USUAL_AGAIN: _moved(2, 5, 7), TREATED["excursion"]: _moved(1, 5, 12)})
     assert found["runs"].answer is Answer.NO
     assert found["restored"].answer is Answer.OPEN
     assert found["restored"].why == "runs that were asked for the same differ too, from step 7 on"
     assert found["slot"].answer is Answer.YES
-    (arms,) = arms_of([_write(tmp_path / "few", ARMS[1]), _write(tmp_path / "few", ARMS[9], _moved(1, 5, 12))])
+    few, away = tmp_path / "few", ARMS[TREATED["excursion"]]
+    (arms,) = arms_of([_write(few, ARMS[1]), _write(few, away, _moved(1, 5, 12))])
     alone = {finding.key: finding for finding in answers(arms)}
     assert alone["restored"].answer is Answer.OPEN
     assert "runs were not compared" in alone["restored"].why
@@ -242,12 +248,12 @@ def test_noise_leaves_causes_open(tmp_path: Path) -> None:
 
 def test_what_is_not_there_is_not_asked(tmp_path: Path) -> None:
     """Name what a question needs, and the reason where the run for it failed."""
-    failed = _write(tmp_path, ARMS[10], status="FAILED", reason="no room", cause="ENGINE")
+    failed = _write(tmp_path, ARMS[TREATED["set"]], status="FAILED", reason="no room", cause="ENGINE")
     (arms,) = arms_of([_write(tmp_path, ARMS[1]), failed])
     found = {finding.key: finding for finding in answers(arms)}
     assert {finding.answer for finding in found.values()} == {Answer.NOT_ASKED}
     assert found["set"].why == "its run is failed: no room"
-    assert found["restored"].why == "needs a run with --intervene excursion@STEP"
+    assert found["restored"].why == "needs a run with --intervene excursion@STEP+MORE"
     assert found["number"].why == "needs runs of other numbers of environments"
     assert verdict_of(list(found.values())) == "nothing was asked"
 
@@ -303,8 +309,8 @@ def test_other_spreads_are_other_states(tmp_path: Path) -> None:
 
 def test_arms_of_other_sizes(tmp_path: Path) -> None:
     """Hold no arm against runs of another number of environments, but for the question about numbers."""
-    foreign = [Arm(2, ARMS[5].initial), Arm(2, ARMS[6].initial), Arm(2, ARMS[8].initial, ARMS[8].intervention)]
-    (arms,) = arms_of([_write(tmp_path, arm) for arm in (*foreign, *ARMS[:2], *ARMS[11:])])
+    foreign = [Arm(2, ARMS[5].initial), Arm(2, ARMS[6].initial), replace(ARMS[TREATED["reset"]], n_env=2)]
+    (arms,) = arms_of([_write(tmp_path, arm) for arm in (*foreign, *ARMS[:2], *ARMS[USUAL_AGAIN:])])
     assert arms.shifted is arms.but is None
     assert arms.treated == {}
     assert {finding.key: finding for finding in answers(arms)}["slot"].answer is Answer.NOT_ASKED
@@ -324,7 +330,7 @@ def test_a_plan_goes_on_where_it_stopped() -> None:
     assert PLAN.missing([]) == list(PLAN.arms())
     assert PLAN.missing(done) == []
     assert PLAN.missing(done[:1]) == [*PLAN.arms()][1:]
-    assert PLAN.missing(done, again=[ARMS[9]]) == [ARMS[9]] * 2
+    assert PLAN.missing(done, again=[ARMS[6]]) == [ARMS[6]] * 2
     foreign = RunConfiguration("synthetic", "free-fall", 4, 0.01, PLAN.steps, initial=ARMS[1].initial)
     assert len(PLAN.missing([foreign])) == len(list(PLAN.arms()))
 
@@ -338,7 +344,9 @@ def probed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         out.parent / "answers.json", code=0,
     )  # fmt: skip
     assert len(done.stdout.splitlines()) <= 19
-    assert "11 of 12 answers are yes; no: positions and velocities are the whole state" in " ".join(done.stdout.split())
+    asked = sum(not question.asked_of_few for question in QUESTIONS)
+    said = f"{asked - 1} of {asked} answers are yes; no: positions and velocities are the whole state"
+    assert said in " ".join(done.stdout.split())
     return out
 
 
@@ -406,11 +414,11 @@ def test_recordings_that_are_no_arms(gsb_probe: Command, tmp_path: Path) -> None
 def test_gates(tmp_path: Path, gsb_probe: Command) -> None:
     """End with 4 where an answer is no, with 5 where one is open."""
     for index, arm in enumerate(ARMS):
-        _write(tmp_path, arm, _moved(1, 5, 12) if index == 9 else None)
+        _write(tmp_path, arm, _moved(1, 5, 12) if index == TREATED["excursion"] else None)
     assert gsb_probe(tmp_path, "--gate").returncode == 4
     few = tmp_path / "few"
     _write(few, ARMS[1])
-    _write(few, ARMS[9], _moved(1, 5, 12))
+    _write(few, ARMS[TREATED["excursion"]], _moved(1, 5, 12))
     assert gsb_probe(few, "--gate").returncode == 5
     assert gsb_probe(few).returncode == 0
 
@@ -495,7 +503,7 @@ def test_levels_are_clocked_in_turn() -> None:
 def test_what_a_level_costs(tmp_path: Path, gsb_probe: Command) -> None:
     """Print the throughput of a level relative to the default's with its interval, below its answers."""
     for level, seconds in (("default", 1.0), ("strict", 2.0)):
-        for arm in (ARMS[0], ARMS[12]):
+        for arm in (ARMS[0], ARMS[PLAIN_AGAIN]):
             _write(tmp_path, arm, determinism=level)
         for run in range(4):
             write_recording(
@@ -538,7 +546,7 @@ def test_another_device(tmp_path: Path) -> None:
         return [
             _write(tmp_path / folder, arm, (planted or {}).get(at), also=named)
             for at, arm in enumerate(ARMS)
-            if at != 12
+            if at != PLAIN_AGAIN
         ]
 
     here = of("here", "cpu a")
@@ -547,8 +555,8 @@ def test_another_device(tmp_path: Path) -> None:
     for one in same.values():
         found = {finding.key: finding for finding in one.findings}["device"]
         assert found.answer is Answer.YES
-        assert "11 runs and the same on cpu" in found.compared
-    away = of("away", "cpu c", {1: _moved(2, 5, 7), 11: _moved(2, 5, 7), 3: _moved(1, 5, 4)})
+        assert f"{len(ARMS) - 2} runs and the same on cpu" in found.compared
+    away = of("away", "cpu c", {1: _moved(2, 5, 7), USUAL_AGAIN: _moved(2, 5, 7), 3: _moved(1, 5, 4)})
     found = {f.key: f for f in judged((*here, *away))[0].findings}["device"]
     assert found.answer is Answer.NO
     assert found.found is not None

@@ -10,8 +10,7 @@ import numpy as np
 from gpusimbench.recorder.conformance.checks.motion import turn_between
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.captured import Held
-from gpusimbench.recorder.simulators.counters import CONTACTS
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import CONTACTS, Evidence
 from gpusimbench.recorder.simulators.flight import HostFlight
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.recorder.simulators.snapshot import Claim, Extent

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gpusimbench import open_recording
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.depth import count_sunk
-from gpusimbench.recorder.simulators.mujoco.floors import floors_of
+from gpusimbench.recorder.simulators.mujoco.geometry import floors_of
 from tests.conftest import call
 
 _BALL = '<body name="ball" pos="0 0 .5"><freejoint/><geom size=".1" {ball}/>{more}</body>'

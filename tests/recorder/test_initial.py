@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gpusimbench import open_recording
 from gpusimbench.recorder.run.initial import GRID, draw, parse
+from gpusimbench.recorder.run.intervention import DOING
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
@@ -79,8 +80,14 @@ def test_of_more_environments() -> None:
 @given(st.sampled_from(sorted(KINDS)), st.integers(1, 10**9 - 1), st.integers(1, 10**9 - 1))
 def test_interventions(kind: str, step: int, more: int) -> None:
     """Read an intervention back as it is written."""
-    made = Intervention(kind, step, more if kind == "excursion" else 0)
+    made = Intervention(kind, step, more if KINDS[kind].more else 0)
     assert Intervention.parse(str(made)) == made
+
+
+def test_every_kind_of_intervention_is_done() -> None:
+    """Have for each declared kind the claim that it needs, and what does it."""
+    assert DOING.keys() == KINDS.keys()
+    assert [kind for kind, (_, do) in DOING.items() if do is None] == [k.name for k in KINDS.values() if k.repeats]
 
 
 @pytest.mark.parametrize(

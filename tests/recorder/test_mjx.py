@@ -74,7 +74,7 @@ def test_the_cpu_is_asked_for_before_jax_looks_for_others() -> None:
 )
 def test_targets_are_drawn_on_the_device(seed: int, step: int, given_to: list[tuple[int, int]]) -> None:
     """Make on the device, bit for bit, the targets that the scene defines, whatever streams environments follow."""
-    from gpusimbench.recorder.simulators.jax.actions import device_draw
+    from gpusimbench.recorder.simulators.jax.simulator import device_draw
 
     actions = franka().actions
     assert actions is not None
@@ -328,7 +328,7 @@ def test_parameters_of_an_environment_are_those_of_its_own_model(scene: str, var
     import jax
     from mujoco import mjx
 
-    from gpusimbench.recorder.simulators.mjx.varied import batched, model_fields
+    from gpusimbench.recorder.simulators.mjx.physics import batched, model_fields
     from gpusimbench.recorder.simulators.mujoco.model import compile_scene
     from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
     from gpusimbench.recorder.simulators.mujoco.varied import compile_varied

@@ -190,7 +190,7 @@ def test_on_a_device(each: bool, tmp_path: Path) -> None:
                 drawn.enqueue(ctrl)
                 np.testing.assert_array_equal(ctrl.numpy(), wanted[step])
         if find_spec("jax"):
-            from gpusimbench.recorder.simulators.jax.actions import device_draw
+            from gpusimbench.recorder.simulators.jax.simulator import device_draw
 
             draw = device_draw(actions, seed=5)
             for step in (0, 1, 29, 30, 32):

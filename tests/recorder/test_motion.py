@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gpusimbench.recorder.capture.motion import moving, with_motion
+from gpusimbench.recorder.capture.evidence import moving, with_motion
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.schemas.fields import body_fields, joint_field
 

@@ -17,7 +17,7 @@ from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.probes.gpu import Gpus, Processes
 from gpusimbench.recorder.probes.software import package_list
-from gpusimbench.recorder.run.environment import apply_environment
+from gpusimbench.recorder.run.engine import apply_environment
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import PROVENANCE, Provenance

@@ -229,6 +229,7 @@ def test_block_sizes() -> None:
         (("--sim", "mujoco", "--phases", "timed,timed"), "each at most once, not 'timed,timed'"),
         (("--sim", "mujoco", "--trials", "t.csv"), "--trials is for --sim real; --sim mujoco does not use this option"),
         (("--sim", "mujoco", "--unit", "cm"), "--unit is for --sim real"),
+        (("--sim", "mujoco", "--allow-model"), "--allow-model is for --replay FILE; --sim mujoco does not use this"),
         (("--sim", "mujoco", "--sample-time", "5"), "--sample-time is for --sim real"),
         (("--sim", "mujoco", "--stride", "3"), "--stride 3 does not divide --steps 500"),
         (("--sim", "mujoco", "--phases", "lunch"), "--phases takes timed, capture or import"),

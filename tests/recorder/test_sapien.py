@@ -21,7 +21,7 @@ from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Inertial, Material, Plane, Scene, Sphere, solid_inertia
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import States
-from gpusimbench.recorder.simulators.counters import AWAKE_BODIES, CONTACTS
+from gpusimbench.recorder.simulators.evidence import AWAKE_BODIES, CONTACTS
 from gpusimbench.recorder.simulators.sapien import gpu_library, released
 from gpusimbench.recorder.simulators.sapien.arm import principal_axes
 from gpusimbench.recorder.simulators.sapien.bodies import make_component

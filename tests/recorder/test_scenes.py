@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from gpusimbench.recorder.command.arguments import _SIMULATED
+from gpusimbench.recorder.command.arguments import parser
 from gpusimbench.recorder.command.command import check_configuration
 from gpusimbench.recorder.scenes.base import Box, Plane, Sphere
 from gpusimbench.recorder.scenes.emit.mjcf import deviations, emit_mjcf
@@ -133,7 +133,8 @@ def test_a_run_is_what_the_command_makes_it_where_nothing_is_asked_for() -> None
     """Give a configuration the defaults of gsb-record, and the window that is timed in most scenes."""
     plain = RunConfiguration("mujoco", "inclined-collision", n_env=1, dt=0.01, steps=1)
     assert (plain.warmup, plain.timed_steps) == make_scene(plain.scene).timed_window()
-    asked = {name: value for name, value in _SIMULATED.items() if value is not None and hasattr(plain, name)}
+    taken = parser().unless_given["simulated"]
+    asked = {name: value for name, value in taken.items() if value is not None and hasattr(plain, name)}
     assert {"seed", "stride", "determinism", "timeout", "capture"} <= set(asked)
     assert {name: getattr(plain, name) for name in asked} == {
         **asked, "phases": tuple(asked["phases"].split(",")), "fitted": {},

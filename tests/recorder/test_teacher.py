@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.recorder.run.teacher import Teacher
+from gpusimbench.recorder.run.intervention import Teacher
 from gpusimbench.recorder.scenes.cube_toss import EDGE, RATE
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import RecordingWriter, open_recording, verify
-from gpusimbench.recorder.capture import state_work, writeback
+from gpusimbench.recorder.capture import sink, state_work
 from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import array_field
 
@@ -40,7 +40,7 @@ def test_data_begin_their_way_to_the_disk(tmp_path: Path, monkeypatch: pytest.Mo
         asked.append((begin, begin + size, os.fstat(descriptor).st_size))
         advise(-1 if fails else descriptor, begin, size, advice)  # OSError of a file that is not open
 
-    monkeypatch.setattr(writeback, "_BYTES", 512 << 10)
+    monkeypatch.setattr(sink, "_WRITEBACK_BYTES", 512 << 10)
     monkeypatch.setattr(os, "posix_fadvise", noted)
     record(tmp_path / "a.mcap")
     assert asked[0][0] == 0

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pytest
 
 from gpusimbench.schemas import checks, wire
+from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.trial_units import Extent, extent_of, unit_doubt
 
@@ -52,6 +54,15 @@ def test_texts_have_a_limit(document: str) -> None:
     assert checks.load("a", document % ("x" * checks.MAX_JSON_TEXT))
     with pytest.raises(DamagedRecording, match=f"a text of {checks.MAX_JSON_TEXT + 1} characters"):
         checks.load("a", document % ("x" * (checks.MAX_JSON_TEXT + 1)))
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(RunConfiguration)])
+def test_every_value_of_a_configuration_is_read(name: str) -> None:
+    """Refuse an object in place of each value, also of one that a file may leave out: none is ignored."""
+    plain = RunConfiguration("mujoco", "free-fall", n_env=1, dt=0.01, steps=1).to_json()
+    assert RunConfiguration.from_json(plain).to_json() == plain
+    with pytest.raises(DamagedRecording):
+        RunConfiguration.from_json({**plain, name: {"no text": 1}})
 
 
 @pytest.mark.parametrize("value", [2, 5, 3])

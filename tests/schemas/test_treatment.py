@@ -85,7 +85,7 @@ def test_digests_are_short_in_tables() -> None:
 def test_who_is_treated(kind: str, treated: set[int], poisoned: set[int]) -> None:
     """Name the environments that something is done to, and those that need not be finite."""
     intervention = Intervention(kind, 3)
-    assert {env for env in range(5) if intervention.treated(env)} == treated
+    assert set(intervention.treated(5)) == treated
     assert intervention.poisoned(5) == poisoned
     assert intervention.poisoned(1) == set()
     assert list(intervention.stops(100)) == [3]
@@ -94,7 +94,7 @@ def test_who_is_treated(kind: str, treated: set[int], poisoned: set[int]) -> Non
 def test_a_teacher_comes_again() -> None:
     """Stop after each whole multiple of the steps, and not after the last step."""
     assert list(Intervention.parse("teacher@3").stops(9)) == [3, 6]
-    assert Intervention.parse("teacher@3").teaches
+    assert Intervention.parse("teacher@3").kind.repeats
 
 
 @pytest.mark.parametrize("text", ["mass:0.5", "mass:0.5,shift:3", "mass:0.5,but:0"])

@@ -139,7 +139,8 @@ def _intervals(recording: Recording, problems: Problems) -> None:
 
 def _capture_spans(c: RunConfiguration) -> list[int]:
     # steps between those after which the capture stops to save or to change the state: blocks end there
-    stops = {*c.snapshots, *(Intervention.parse(c.intervention).stops(c.steps) if c.intervention else ())}
+    done = Intervention.of(c.intervention)
+    stops = {*c.snapshots, *(done.stops(c.steps) if done else ())}
     ends = sorted({c.first_step, c.steps, *(step for step in stops if c.first_step < step < c.steps)})
     return [end - begin for begin, end in pairwise(ends)]
 

@@ -22,6 +22,7 @@ from gpusimbench.evaluator.runs.positions import no_states
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.treatment import Intervention
 
 _BLOWN = 1e9  # in any SI unit: the simulation blew up
 _LONGEST = 1e9  # [s]
@@ -60,7 +61,8 @@ def _facts(
             **joint_facts(recording),
             **(bodies if positional(recording.fields) else {}),
         }
-    if recording.configuration.intervention.startswith(("reset@", "poison@", "teacher@")):
+    done = Intervention.of(recording.configuration.intervention)
+    if done and done.kind.changes:
         return Missing("environments were changed on the way")
     walk = Walk(recording, envs)
     if not walk.groups:

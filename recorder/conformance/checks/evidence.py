@@ -11,8 +11,7 @@ from gpusimbench.recorder.conformance.scene import LANDING
 from gpusimbench.recorder.conformance.subject import Subject
 from gpusimbench.recorder.conformance.verdict import NotApplicable, expect, fail
 from gpusimbench.recorder.simulators.base import Description
-from gpusimbench.recorder.simulators.counters import CONTACTS
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import CONTACTS, Evidence
 
 _NAME = re.compile(r"[a-z0-9_]+")  # it becomes part of a topic
 _BITS = 32

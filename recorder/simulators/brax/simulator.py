@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.abilities import BODIES
 from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.brax.options import BraxOptions, deviations
-from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS, CONTACTS
+from gpusimbench.recorder.simulators.evidence import CANDIDATE_PAIRS, CONTACTS
 from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW
 from gpusimbench.recorder.simulators.jax.simulator import JaxSimulator, Physics

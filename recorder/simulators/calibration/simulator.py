@@ -20,8 +20,7 @@ from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.calibration.chance import entropy_of
 from gpusimbench.recorder.simulators.calibration.model import deviations
 from gpusimbench.recorder.simulators.calibration.options import BY_RUN, CalibrationOptions
-from gpusimbench.recorder.simulators.counters import CONTACTS
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import CONTACTS, Evidence
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, rows_of
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import body_field

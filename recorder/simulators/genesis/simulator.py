@@ -26,8 +26,7 @@ from gpusimbench.recorder.simulators.genesis import runtime
 from gpusimbench.recorder.simulators.genesis.deviations import deviations
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.genesis.transfer import TorchSlots
-from gpusimbench.recorder.simulators.slots import Slot, Slots
-from gpusimbench.recorder.simulators.slotted import Slotted
+from gpusimbench.recorder.simulators.slots import Slot, Slots, Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation

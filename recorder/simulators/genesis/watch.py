@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
+from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS
 from gpusimbench.recorder.simulators.genesis.sizes import Sizes
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 

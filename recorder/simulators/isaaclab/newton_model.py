@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.emit.usd import Apis
+from gpusimbench.recorder.scenes.emit.usd import Apis, literal
 from gpusimbench.recorder.scenes.model.scene import ModelScene
-from gpusimbench.recorder.simulators.isaaclab.mjc import MuJoCoWords
 from gpusimbench.recorder.simulators.newton.imported import Imported as Places
 from gpusimbench.recorder.simulators.newton.solver_made import deviations_of_solver, quantities_of_solver
 from gpusimbench.recorder.simulators.physx.made import Held, imported_of
@@ -23,6 +22,58 @@ from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.text import few
+
+
+class MuJoCoWords:
+    """The attributes (mjc:) of the joints, geoms and bodies of a mujoco.MjModel."""
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+
+    def joint(self, joint: int) -> list[str]:
+        """Of a hinge or slide."""
+        model, dof, at = self._model, int(self._model.jnt_dofadr[joint]), int(self._model.jnt_qposadr[joint])
+        numbers = {
+            "armature": model.dof_armature[dof], "damping": model.dof_damping[dof],
+            "frictionloss": model.dof_frictionloss[dof], "stiffness": model.jnt_stiffness[joint],
+            "springref": model.qpos_spring[at] - model.qpos0[at], "margin": model.jnt_margin[joint],
+        }  # fmt: skip
+        return [
+            *_numbers(numbers),
+            _array("solreflimit", model.jnt_solref[joint]),
+            _array("solimplimit", model.jnt_solimp[joint]),
+            _array("solreffriction", model.dof_solref[dof]),
+            _array("solimpfriction", model.dof_solimp[dof]),
+        ]
+
+    def geom(self, geom: int) -> list[str]:
+        """Of a shape that collides."""
+        model = self._model
+        words = ("condim", "priority", "contype", "conaffinity")
+        return [
+            *(f"int mjc:{word} = {int(getattr(model, f'geom_{word}')[geom])}" for word in words),
+            *_numbers({word: getattr(model, f"geom_{word}")[geom] for word in ("solmix", "margin", "gap")}),
+            _array("solref", model.geom_solref[geom]),
+            _array("solimp", model.geom_solimp[geom]),
+        ]
+
+    def body(self, body: int) -> list[str]:
+        """Of a link."""
+        return _numbers({"gravcomp": self._model.body_gravcomp[body]})
+
+    def friction(self, coefficients: Sequence[float]) -> list[str]:
+        """Of a material: the torsional and the rolling one [m], after that against sliding."""
+        _, torsional, rolling = coefficients
+        return _numbers({"torsionalfriction": torsional, "rollingfriction": rolling})
+
+
+def _numbers(numbers: dict[str, Any]) -> list[str]:
+    return [f"double mjc:{name} = {literal(float(number))}" for name, number in numbers.items()]
+
+
+def _array(name: str, numbers: Iterable[Any]) -> str:
+    return f"double[] mjc:{name} = [{', '.join(literal(float(number)) for number in numbers)}]"
+
 
 _NAMED = 4  # in a deviation
 _REASON = "so Isaac Lab, Newton's importer and SolverMuJoCo make it"

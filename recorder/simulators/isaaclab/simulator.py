@@ -26,8 +26,7 @@ from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.block import STATES, IsaacLabBlock
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS
-from gpusimbench.recorder.simulators.slots import Slot, Slots
-from gpusimbench.recorder.simulators.slotted import Slotted
+from gpusimbench.recorder.simulators.slots import Slot, Slots, Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp.transfer import WarpSlots

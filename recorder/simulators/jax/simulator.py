@@ -14,15 +14,47 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.scenes.actions import table
 from gpusimbench.recorder.simulators.base import Captured, Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
-from gpusimbench.recorder.simulators.jax.actions import device_draw
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW, JaxBlock, evidence_of
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, rows_of
+from gpusimbench.schemas.action_generator import JointTargets
+from gpusimbench.schemas.mixing import GOLDEN32, mix32
 
 if TYPE_CHECKING:  # it imports MuJoCo
     from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
+
+
+def device_draw(actions: JointTargets, *, seed: int) -> Callable[[Any, Any, Any], Any]:
+    """A traceable function of the step (uint32 scalar) and of both arrays of the environments' Streams that gives the
+    targets of all environments [rad], [env, joint].
+
+    The chain of JointTargets.draw in 32-bit wrapping integers; its last two operations, an integer to float32 and a
+    product with a power of two, are exact.
+    """
+    import jax.numpy as jnp
+
+    rows = table(actions)
+    if rows is not None:
+        given = jnp.asarray(rows)
+        steps, envs = np.uint32(rows.shape[0]), np.uint32(rows.shape[1])
+        return lambda step, env, begun: given[jnp.where(step >= begun, step - begun, step) % steps, env % envs]
+    golden = np.uint32(GOLDEN32)
+    first, count, grid = (jnp.asarray(numbers) for numbers in actions.grid())
+
+    def draw(step: Any, env: Any, begun: Any) -> Any:
+        word: Any = jnp.uint32(actions.seed_word(seed))
+        step = jnp.asarray(step, jnp.uint32)
+        joint = jnp.arange(len(actions.joints), dtype=jnp.uint32)[None, :]
+        for counter in (env[:, None], jnp.where(step >= begun, step - begun, step)[:, None], joint):
+            word = mix32(word + (counter + np.uint32(1)) * golden)
+        index = (word >> np.uint32(16)) * count >> np.uint32(16)
+        return (first + index.astype(jnp.int32)).astype(jnp.float32) * grid
+
+    return draw
+
 
 _RING_BYTES = 256 << 20
 _RING_STEPS = 50

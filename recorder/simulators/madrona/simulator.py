@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.counters import CONTACTS
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import CONTACTS, Evidence
 from gpusimbench.recorder.simulators.madrona.columns import HostColumns, TorchColumns
 from gpusimbench.recorder.simulators.madrona.module import SimulatorModule, breach
 from gpusimbench.recorder.simulators.madrona.options import MadronaOptions

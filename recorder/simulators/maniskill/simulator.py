@@ -79,8 +79,8 @@ class ManiSkill(SapienStepper):
 
     def _on_gpu(self, frequency: int, complaints: Complaints) -> Made:
         from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds
-        from gpusimbench.recorder.simulators.sapien.gpu_library import check_gpu, enable_gpu, library_path
         from gpusimbench.recorder.simulators.sapien.released import sha256
+        from gpusimbench.recorder.simulators.sapien.settings import check_gpu, enable_gpu, library_path
         from gpusimbench.recorder.simulators.sapien.sizes import choose_sizes
 
         try:

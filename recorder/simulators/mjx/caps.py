@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.simulators.buffer_sizes import Need, measure
-from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS
+from gpusimbench.recorder.simulators.evidence import CANDIDATE_PAIRS
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 

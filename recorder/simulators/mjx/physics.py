@@ -1,9 +1,10 @@
-"""What adapters over MJX share: options, buffers of each implementation, counts of a step, layout of the state."""
+"""What adapters over MJX share: options, buffers of each implementation, counts of a step, layout of the state,
+and models whose fields differ from environment to environment."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -15,7 +16,7 @@ from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.variation import Variation
-from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from gpusimbench.recorder.simulators.evidence import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW
 from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
 from gpusimbench.recorder.simulators.mujoco.options import (
@@ -144,7 +145,6 @@ def load(
     if impl == "warp":
         return _for_warp(compiled, n_env=n_env, dt=dt, seed=seed, options=options)
     from gpusimbench.recorder.simulators.mjx import caps as mjx_caps
-    from gpusimbench.recorder.simulators.mjx.varied import model_fields
     from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
 
     caps = mjx_caps.choose(
@@ -274,3 +274,34 @@ def refusals(impl: str) -> Iterator[None]:
     except NotImplementedError as error:
         said = f"MJX (impl={impl}) does not take these options or this scene: {error}"
         raise Refused(f"{said}{replacement(said)}") from None
+
+
+_STATISTICS = ("meaninertia", "meanmass", "meansize")  # the first scales the solver's tolerance
+
+
+def model_fields(model: Any, models: Sequence[Any]) -> dict[str, NDArray[Any]]:
+    """Fields of mjx.Model that differ between the mujoco.MjModels of environments, [env, ...], by their path in it.
+
+    What else differs MJX does not have, or reads for height fields alone (`geom_rbound_hfield`).
+    """
+    from mujoco import mjx
+
+    from gpusimbench.recorder.simulators.mujoco.varied import varied_fields
+
+    known = {field.name for field in fields(mjx.Model)}
+    found = {name: array for name, array in varied_fields(model, models).items() if name in known}
+    for name in _STATISTICS:
+        values = np.array([getattr(one.stat, name) for one in models])
+        if (values != getattr(model.stat, name)).any():
+            found[f"stat.{name}"] = values
+    return found
+
+
+def batched(model: Any, varied: Mapping[str, NDArray[Any]]) -> tuple[Any, Any]:
+    """The mjx.Model with these fields, and which of its arrays jax.vmap is to take apart."""
+    import jax
+    import jax.numpy as jnp
+
+    whole = model.tree_replace({name: jnp.asarray(array, jnp.float32) for name, array in varied.items()})
+    axes = jax.tree.map(lambda array: None, model).tree_replace(dict.fromkeys(varied, 0))
+    return whole, axes

@@ -33,7 +33,7 @@ class Mjx(MjxSimulator):
         import jax.numpy as jnp
         from mujoco import mjx
 
-        from gpusimbench.recorder.simulators.mjx.varied import batched
+        from gpusimbench.recorder.simulators.mjx.physics import batched
 
         model_on_device, axes = batched(on_device, model.varied) if model.varied else (on_device, None)
         step = jax.vmap(mjx.step, (axes, 0))

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.abilities import BODIES, ROBOTS, VARIED, Ability
 from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, Evidence
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.schemas.imported import Imported

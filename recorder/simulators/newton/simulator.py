@@ -28,8 +28,7 @@ from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.mujoco.options import own_options, replacement
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, MUJOCO_SOLVERS, NewtonOptions
 from gpusimbench.recorder.simulators.newton.steps import BLOCK, Steps
-from gpusimbench.recorder.simulators.slots import Slot, Slots
-from gpusimbench.recorder.simulators.slotted import Slotted
+from gpusimbench.recorder.simulators.slots import Slot, Slots, Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
@@ -101,9 +100,8 @@ class Newton(Slotted):
         from gpusimbench.recorder.simulators.mujoco.model import compile_scene
         from gpusimbench.recorder.simulators.newton.model import one_world
         from gpusimbench.recorder.simulators.newton.ring import Ring, evidence_shapes
-        from gpusimbench.recorder.simulators.newton.sizes import choose_sizes
         from gpusimbench.recorder.simulators.newton.solvers import in_force, register
-        from gpusimbench.recorder.simulators.newton.watch import Watch
+        from gpusimbench.recorder.simulators.newton.watch import Watch, choose_sizes
 
         self._mode = wp.DeterministicMode[warp_runtime.MODES[level]]
         files = isinstance(self.scene, ModelScene)
@@ -339,7 +337,7 @@ class Newton(Slotted):
         given.ctrl.assign(controls.astype(np.float32).ravel())
 
     def _fill(self, slots: Slots, slot: Slot, n_step: int) -> Captured:
-        from gpusimbench.recorder.simulators.newton.block import NewtonBlock
+        from gpusimbench.recorder.simulators.newton.ring import NewtonBlock
 
         assert self._storing is not None
         self._ring.go_to(slot.first)

@@ -1,15 +1,63 @@
-"""What Newton's solvers show of their work: counts of a step, and what did not fit into a buffer."""
+"""What Newton's solvers show of their work: counts of a step, how much room buffers
+get, and what did not fit into one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
-from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+import numpy as np
+
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.buffer_sizes import Need, measure
+from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.newton.model import detection_distance
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 from gpusimbench.recorder.simulators.newton.solvers import Sizes
 from gpusimbench.recorder.simulators.newton.worlds import Worlds
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
+
+_MARGIN = 1.5  # Newton's collision detection makes other contacts of the same shapes, and its solvers other motions
+_STEEL_ROWS = 2  # of a contact: one along its normal, and its part of what a patch of contacts has along the surface
+
+
+def choose_sizes(scene: Scene, *, dt: float, seed: int, options: NewtonOptions, physics: MjcfOptions) -> Sizes:
+    """Room for what MuJoCo C needs of the same scene with these options of its physics, and a margin; options that ask
+    for a size get it."""
+    compiled = compile_scene(scene, dt=dt, options=physics)
+    compiled.model.geom_gap[:] = detection_distance(options)
+    need = measure(compiled, dt=dt, seed=seed)
+    if options.own_contacts:
+        need = replace(need, margin=_MARGIN)
+    # MuJoCo's pool holds pairs of shapes before it holds contacts
+    contacts = need.contacts if options.own_contacts else need.pool
+    match options.solver:
+        case "steel":
+            rows = _STEEL_ROWS * need.contacts
+        case "vbd":
+            rows = _contacts_of_a_body(compiled, need)
+        case _:
+            rows = need.rows
+    return Sizes(
+        contacts=options.max_contacts or need.size(contacts),
+        rows=options.max_rows or need.size(rows),
+        contacts_by="asked for" if options.max_contacts else need.sized_by(contacts),
+        rows_by="asked for" if options.max_rows else need.sized_by(rows),
+    )
+
+
+def _contacts_of_a_body(compiled: MjcfModel, need: Need) -> int:
+    """Of the moving body that has most of them, at any step."""
+    body_of = np.asarray(compiled.model.geom_bodyid)
+    most = 0
+    for data in compiled.rollout(n_step=need.steps):
+        bodies = body_of[np.asarray(data.contact.geom).reshape(-1)]
+        most = max(most, int(np.bincount(bodies[bodies > 0], minlength=1).max()))
+    return most
+
 
 _NOT_FATAL = ("ITERATIONS", "LS_ITERATIONS")  # nothing is dropped
 _CONTACT_PIPELINE, _SOLVER_NCONMAX = 16, 17  # as in newton.solvers.SolverMuJoCo.OverflowBits

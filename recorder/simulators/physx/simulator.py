@@ -26,17 +26,34 @@ from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.captured import Captured, States
 from gpusimbench.recorder.simulators.physx import grid
-from gpusimbench.recorder.simulators.physx.block import PhysxBlock
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS, OF_THE_GPU, PhysxOptions, apis, broad_phase
-from gpusimbench.recorder.simulators.slots import Slot, Slots
-from gpusimbench.recorder.simulators.slotted import Slotted
+from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots, Slotted
 from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer
+
+
+class PhysxBlock(SlotBlock):
+    """States of steps in a slot, as what gathers them has stored them."""
+
+    def __init__(self, slots: Slots, slot: Slot, rows: int, source: Any) -> None:
+        """source  the Bodies, Arms or Articulations"""
+        super().__init__(slots, slot, rows)
+        self._source = source
+
+    def states(self, envs: slice) -> States:
+        """See Captured.states."""
+        states: States = self._source.split(self.host("states"), envs)
+        return states
+
+    def evidence(self) -> None:
+        """See Captured.evidence: PhysX tells nothing."""
+        return
+
 
 _BLOCK_ROWS = 50
 _BLOCK_BYTES = 128 << 20

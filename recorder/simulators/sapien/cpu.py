@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import States
-from gpusimbench.recorder.simulators.counters import AWAKE_BODIES, CONTACTS
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import AWAKE_BODIES, CONTACTS, Evidence
 from gpusimbench.recorder.simulators.sapien.worlds import fields_of
 from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit

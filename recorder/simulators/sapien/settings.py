@@ -1,11 +1,74 @@
-"""SAPIEN's process-wide settings: read when a system or a body is made, and set anew for every simulator."""
+"""What SAPIEN has once a process: PhysX's library for GPUs, which its wheel leaves out and it would fetch unasked;
+and settings that it reads when a system or a body is made, set anew for every simulator."""
 
 from __future__ import annotations
+
+import ctypes
+import platform
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 
 from gpusimbench.recorder.scenes.base import Vector
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.recorder.simulators.sapien.released import PHYSX
+from gpusimbench.schemas.errors import UsageError
+
+_PUBLISHED = "https://github.com/sapien-sim/physx-precompiled/releases/download"  # as in sapien/physx/__init__.py
+_ARCHIVES = {"x86_64": "linux-so.zip", "amd64": "linux-so.zip", "aarch64": "linux-aarch64-so.zip"}
+_DRIVER = "libcuda.so"
+
+
+def library_path(version: str) -> Path:
+    """Where SAPIEN looks for the library of that release of PhysX; only the variable HOME moves it."""
+    return Path.home() / ".sapien" / "physx" / version / "libPhysXGpu_64.so"
+
+
+def check_gpu() -> None:
+    """Look for what PhysX needs to use a GPU, without turning it on.
+
+    UsageError where something is missing that the user has to bring; nothing is downloaded.
+    """
+    from sapien import physx
+
+    if find_spec("torch") is None:
+        raise UsageError("on a GPU SAPIEN's memory is read through torch, which is not installed: pip install torch")
+    if physx.is_gpu_enabled():
+        return
+    path = library_path(physx.version())
+    if not path.is_file():
+        whence = _whence(physx.version(), path.parent)
+        raise UsageError(
+            f"on a GPU SAPIEN needs PhysX's library {path}, which is not there; {whence}; "
+            "this program downloads nothing"
+        )
+    try:
+        ctypes.CDLL(_DRIVER, ctypes.RTLD_GLOBAL)
+    except OSError as error:
+        raise UsageError(
+            f"on a GPU SAPIEN loads the driver's library by the name {_DRIVER}, without a number, which failed "
+            f"({error}); on a machine with an NVIDIA driver a link of that name to libcuda.so.1 is enough"
+        ) from None
+
+
+def enable_gpu() -> None:
+    """Let PhysX use a GPU, with a library that is there already: see check_gpu, and its errors."""
+    from sapien import physx
+
+    check_gpu()
+    if not physx.is_gpu_enabled():
+        physx.enable_gpu()
+
+
+def _whence(version: str, folder: Path) -> str:
+    if version != PHYSX:
+        return (
+            f"this SAPIEN has PhysX {version}, for which its makers publish none (they do for {PHYSX}): "
+            "build it together with libsapien.so"
+        )
+    archive = _ARCHIVES.get(platform.machine().lower(), "linux-so.zip")
+    return f"SAPIEN's makers publish it as {_PUBLISHED}/{version}/{archive}, to be unzipped into {folder}"
 
 
 def configure(options: SapienOptions, *, gravity: Vector, enhanced_determinism: bool) -> None:

@@ -18,20 +18,17 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.abilities import BODIES, ROBOTS, VARIED, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.simulators.base import Description, States
-from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS, Evidence
 from gpusimbench.recorder.simulators.flight import Flight, Watch
 from gpusimbench.recorder.simulators.mujoco.options import replacement
-from gpusimbench.recorder.simulators.slots import Slot, Slots
-from gpusimbench.recorder.simulators.slotted import Slotted
+from gpusimbench.recorder.simulators.slots import Slot, Slots, Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
 from gpusimbench.recorder.simulators.warp.actions import DeviceActions
-from gpusimbench.recorder.simulators.warp.block import WarpBlock, evidence_of
 from gpusimbench.recorder.simulators.warp.flight import WarpFlight
 from gpusimbench.recorder.simulators.warp.options import LEVELS, SETTINGS, WarpOptions
-from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
+from gpusimbench.recorder.simulators.warp.transfer import WarpBlock, WarpSlots, evidence_of
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer, OverflowBit

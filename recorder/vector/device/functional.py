@@ -11,7 +11,7 @@ from gpusimbench.recorder.vector.device.history import Which
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 from gpusimbench.recorder.vector.device.log import DeviceLog, HostLog
 from gpusimbench.recorder.vector.ending import Ending
-from gpusimbench.recorder.vector.images import Images
+from gpusimbench.recorder.vector.fields import Images
 from gpusimbench.schemas.errors import UsageError
 
 _TRACED = (

@@ -19,8 +19,7 @@ from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.history import History, Reset, Which
 from gpusimbench.recorder.vector.device.rows import OBSERVATION, Arrays, Columns, Rows, check_envs
 from gpusimbench.recorder.vector.ending import Hashes
-from gpusimbench.recorder.vector.fields import GIVEN, NO_STEP, NOT_GIVEN, fields_of, recorded_dtype
-from gpusimbench.recorder.vector.images import Images
+from gpusimbench.recorder.vector.fields import GIVEN, NO_STEP, NOT_GIVEN, Images, fields_of, recorded_dtype
 from gpusimbench.recorder.vector.modes import FINAL, Mode
 from gpusimbench.schemas.errors import DataLost
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,7 @@ from gpusimbench.recorder.vector.device.history import INFO, Which
 from gpusimbench.recorder.vector.device.log import About, DeviceLog, HostLog
 from gpusimbench.recorder.vector.device.torch_rows import TorchRows
 from gpusimbench.recorder.vector.ending import Ending
-from gpusimbench.recorder.vector.fields import GIVEN
-from gpusimbench.recorder.vector.images import Images
+from gpusimbench.recorder.vector.fields import GIVEN, Images
 from gpusimbench.recorder.vector.infos import FINAL_INFO
 from gpusimbench.recorder.vector.modes import FINAL, Mode, final_name, five, mode_of
 from gpusimbench.recorder.vector.origin import seed_of
@@ -23,10 +23,25 @@ from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trees import leaves
 from gpusimbench.schemas.vector import FINAL_GIVEN
 
-_HIDING = ("isaaclab", "mjlab")
-"""Packages whose environments are reset within step, and tell the last observations of episodes only if asked to."""
 
-_ORIGINS = {"mani_skill": "mani-skill", "isaaclab": "isaaclab", "mjlab": "mjlab"}
+@dataclass(frozen=True)
+class _Package:
+    """A package of tasks.
+
+    distribution  that pip installs it as
+    hides         its environments are reset within step, and tell the last observations of episodes only if asked to
+    """
+
+    distribution: str
+    hides: bool = False
+
+
+_PACKAGES = {
+    "mani_skill": _Package("mani-skill"),
+    "isaaclab": _Package("isaaclab", hides=True),
+    "mjlab": _Package("mjlab", hides=True),
+}
+"""By the name that is imported."""
 
 Row = dict[str, Any]
 
@@ -81,7 +96,7 @@ class RecordedTensors(Ending):
         self._images = images
         self._path, self._steps, self._dt, self._told = path, steps, dt, infos
         self._n_env = int(told_by(self.env, "num_envs"))
-        hiding = _package(self.env) in _HIDING
+        hiding = (package := _package(self.env)) in _PACKAGES and _PACKAGES[package].hides
         tells = bool(getattr(told_by(self.env, "cfg"), "compute_final_obs", False))  # of Isaac Lab
         self._mode = Mode.SAME_STEP if hiding else mode_of(self.env)
         if False in (told_by(self.env, "auto_reset"), getattr(told_by(self.env, "cfg"), "auto_reset", None)):
@@ -182,7 +197,7 @@ class RecordedTensors(Ending):
     def _about(self) -> About:
         package = _package(self.env)
         try:
-            number = version(_ORIGINS.get(package, "gymnasium"))
+            number = version(_PACKAGES[package].distribution if package else "gymnasium")
         except PackageNotFoundError:
             number = "unknown"
         seed, options = seed_of(self._seed)
@@ -264,4 +279,4 @@ def _device(device: Any) -> str:
 def _package(envs: Any) -> str:
     whole = getattr(envs, "unwrapped", envs)
     roots = (base.__module__.partition(".")[0] for base in type(whole).__mro__)
-    return next((root for root in roots if root in _ORIGINS), "")
+    return next((root for root in roots if root in _PACKAGES), "")

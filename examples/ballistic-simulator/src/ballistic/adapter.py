@@ -10,8 +10,7 @@ from ballistic.engine import World
 from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.counters import CONTACTS
-from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import CONTACTS, Evidence
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from gpusimbench.schemas.provenance import Deviation
 
