@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from statistics import median
 
 from gpusimbench.evaluator.metrics.cotenants import Presence
@@ -77,6 +77,12 @@ def fired(seen: OverflowSeen) -> str:
 def count_of(metric: Estimate) -> str:
     """How many of how many; a dash where there is no value."""
     return NONE if isinstance(metric.value, Missing) else f"{metric.value:.0f} of {metric.n}"
+
+
+def repeating(claims: Sequence[bool | None]) -> str:
+    """How many groups repeat themselves bit for bit, of those of which it is known."""
+    yes, of = claims.count(True), sum(claim is not None for claim in claims)
+    return f"{yes} of {plural(of, 'group')} with several runs {'repeats' if 1 in (yes, of) else 'repeat'} bit for bit"
 
 
 def capturing(metric: Estimate) -> str:

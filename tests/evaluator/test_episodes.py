@@ -15,7 +15,7 @@ from scipy import stats
 
 from gpusimbench import NothingComparable, open_recording, wrap
 from gpusimbench.evaluator.cli.episodes import main as episodes
-from gpusimbench.evaluator.episodes import clusters, dependence
+from gpusimbench.evaluator.episodes import clusters, dependence, document
 from gpusimbench.evaluator.episodes.comparison import compare, difference_of
 from gpusimbench.evaluator.episodes.document import warnings
 from gpusimbench.evaluator.episodes.outcome import FinishOrder, Outcome, outcome
@@ -642,3 +642,10 @@ def test_shares_of_repeats_have_the_interval_of_whole_numbers() -> None:
     flags = np.array([[True], [False], [True], [True]])
     assert rate_interval(flags.astype(np.float64)) == rate_interval(flags) == wilson(3, 4)
     assert rate_interval(np.array([[0.5], [0.0], [1.0], [1.0]])) == (wilson(2, 4)[0], wilson(3, 4)[1])
+
+
+def test_shares_are_not_rounded_to_all_or_none() -> None:
+    """Print 100 % of all episodes alone, and a difference of zero where there is none."""
+    assert [document.number(share, "success") for share in (0.0, 0.5, 1.0)] == ["0.0 %", "50.0 %", "100.0 %"]
+    assert document.number(4095 / 4096, "success") == "99.98 %" and document.number(1 / 100_000, "success") == "0.001 %"
+    assert document.difference(-1 / 4096, "success", sign=True) == "-0.02 pp"
