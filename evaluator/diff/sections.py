@@ -86,7 +86,7 @@ def _fields(found: Difference) -> Section | None:
         [_row(field) for field in found.compared.fields],
     )
     kinds = [
-        Item(f"  {field.field}: {count:,} of the differing numbers are {what}")
+        Item(f"  {field.field}: {count:,} of the differing numbers {'is' if count == 1 else 'are'} {what}")
         for field in differing
         for count, what in (
             (field.signed_zeros, "0.0 against -0.0"),
