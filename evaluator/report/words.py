@@ -27,7 +27,7 @@ from gpusimbench.evaluator.results.validity import BufferUse, Counted, OverflowS
 from gpusimbench.evaluator.runs.groups import Group, shown_status
 from gpusimbench.evaluator.statistics.floor import Floor
 from gpusimbench.evaluator.statistics.regimes import RegimeProbabilities
-from gpusimbench.schemas.text import plural
+from gpusimbench.schemas.text import bound, percent, plural
 
 
 def trouble(group: Group[Described]) -> str:
@@ -55,7 +55,7 @@ _NOT_TOLD = "not told"
 
 def share(use: BufferUse) -> str:
     """How much of a buffer was needed."""
-    return f"{use.share:.0%}" if use.share is not None else _NOT_TOLD
+    return percent(use.share) if use.share is not None else _NOT_TOLD
 
 
 def overflow(validity: Validity) -> str:
@@ -173,7 +173,7 @@ def regime(metric: Estimate) -> str:
     share = again.probabilities[number - 1]
     if share == 1 and again.agreement:
         return f"{number} ({alike(again)})"
-    return f"{number} (in {'all' if share == 1 else format(share, '.0%') + ' of'} resamples of {again.runs} runs)"
+    return f"{number} (in {'all' if share == 1 else f'{percent(share)} of'} resamples of {again.runs} runs)"
 
 
 def resampled(metric: Estimate) -> RegimeProbabilities | None:
@@ -192,8 +192,8 @@ def alike(again: RegimeProbabilities) -> str:
 def another(again: RegimeProbabilities) -> str:
     """What is not excluded where all runs of a published type are alike: that another run differs."""
     how = "in some bit" if again.agreement == "bits" else "by 0.01 cm"
-    below = 100 * (1.0 if again.run_differs_below is None else again.run_differs_below)
-    return f"another run differs {how} with a probability below {below:.0f} % (95 % confidence)"
+    below = bound(1.0 if again.run_differs_below is None else again.run_differs_below)
+    return f"another run differs {how} with a probability below {below} (95 % confidence)"
 
 
 def floor_of(metric: Estimate) -> Floor:
