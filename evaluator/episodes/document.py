@@ -109,7 +109,7 @@ def _policy(of: Outcome, title: str) -> Iterator[Block]:
         ),
         (
             "ended",
-            f"{of.terminated} terminated, {of.episodes - of.terminated} truncated; "
+            f"{of.terminated} terminated, the other {of.episodes - of.terminated} truncated; "
             f"mean length {of.mean_length:.4g} steps",
         ),
         *([("success", f"{of.success} at {AT[of.success_at.value]}")] if of.success else []),

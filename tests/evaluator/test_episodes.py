@@ -649,3 +649,25 @@ def test_shares_are_not_rounded_to_all_or_none() -> None:
     assert [document.number(share, "success") for share in (0.0, 0.5, 1.0)] == ["0.0 %", "50.0 %", "100.0 %"]
     assert document.number(4095 / 4096, "success") == "99.98 %" and document.number(1 / 100_000, "success") == "0.001 %"
     assert document.difference(-1 / 4096, "success", sign=True) == "-0.02 pp"
+
+
+def test_equal_returns_have_no_bias(tmp_path: Path) -> None:
+    """Warn of no bias where all episodes have one return, whose mean rounds; say no more of flags than is known."""
+
+    class Rewarded(search.Search):  # type: ignore[misc, name-defined]
+        def step(self, action: Any) -> tuple[Any, ...]:
+            observation, _, terminated, truncated, info = super().step(action)
+            ended = terminated or truncated
+            return observation, 0.1 * ended, ended, ended, info
+
+    envs = wrap(gymnasium.vector.SyncVectorEnv([Rewarded] * 12), tmp_path / "a.mcap", steps=60)
+    observation, _ = envs.reset(seed=0)
+    for _ in range(60):
+        observation, *_ = envs.step(search.near(observation))
+    envs.close()
+    found = outcome(
+        choose(read_side([open_recording(tmp_path / "a.mcap")]), 3, None, At.LAST), Choice.GIVEN, None, At.LAST
+    )
+    early = finish_orders(found)["return"]
+    assert found.left_out and early.difference == 0 and not early.biased
+    assert "36 terminated, the other 0 truncated" in call("gsb-episodes", tmp_path / "a.mcap", "--per-env", 3).stdout
