@@ -37,7 +37,7 @@ _BASIS = {
 
 def diff_document(found: Difference, *, every: bool = False) -> Document:
     """The verdict and what it rests on; with `every`, all that is known."""
-    blocks: list[Block] = [verdict_of(found), brief(found, every=every), *_remarks(found, every)]
+    blocks: list[Block] = [verdict_of(found), brief(found, every=every), *remarks(found, every=every)]
     sections: list[Section | None] = [_fields(found), _distances(found.growth), _equal(found)] if found.first else []
     if found.program is not None:
         sections.append(program_words.section(found.program, found.a.dt))
@@ -58,7 +58,7 @@ def _in_ulps(found: Difference) -> bool:
     return state is not None and words.in_ulps(state.number, named=True).endswith("ULP")
 
 
-def _remarks(found: Difference, every: bool) -> list[Block]:
+def remarks(found: Difference, *, every: bool) -> list[Block]:
     """What was not compared or is not there, in a warning's colour, and what else must be known."""
     made = [Item(f"  not compared: {text}", Tone.WARNING) for text in found.compared.left_out]
     made += [Item(f"  incomplete: {text}", Tone.WARNING) for text in found.lost]
