@@ -151,13 +151,14 @@ def difference_of(
         found, error = paired(one, other, seed=_SEED), error_of_mean(first - second)
         return Difference(
             name, unit, found.mean, interval_of(found.ci95, error), found.p_value, found.p_value,
-            "signs of differences exchanged by environment", discordant, shown(error),
+            "signs of differences exchanged by environment", discordant, shown(error, len(one) - 1),
         )  # fmt: skip
     p = _exchanged(one, other, even=even)
     error = _combined(error_of_mean(first), error_of_mean(second))
     return Difference(
         name, unit, float(one.mean() - other.mean()), interval_of(unpaired_interval(one, other), error), p, p,
-        f"environments exchanged between policies{'' if even else ', Welch t'}", discordant, shown(error),
+        f"environments exchanged between policies{'' if even else ', Welch t'}", discordant,
+        shown(error, len(one) + len(other) - 2),
     )  # fmt: skip
 
 

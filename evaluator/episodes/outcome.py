@@ -149,11 +149,11 @@ def interval_of(interval: tuple[float, float] | None, error: float | Missing) ->
     return _ALIKE if error == 0 else interval or _FEW
 
 
-def shown(error: float | Missing) -> float | Missing:
+def shown(error: float | Missing, freedom: float) -> float | Missing:
     """The smallest difference that is shown with a probability POWER, from its standard error; see least_shown."""
     if isinstance(error, Missing):
         return error
-    return least_shown(error, POWER) if error else _ALIKE
+    return least_shown(error, POWER, freedom) if error else _ALIKE
 
 
 def error_of_mean(values: NDArray[np.float64]) -> float | Missing:
@@ -218,7 +218,7 @@ def _alike(values: NDArray[np.float64]) -> dict[str, float | Missing]:
 
 def _least_of_two(values: NDArray[np.float64]) -> float | Missing:
     error = error_of_mean(values)
-    return shown(error if isinstance(error, Missing) else 2**0.5 * error)
+    return shown(error if isinstance(error, Missing) else 2**0.5 * error, 2 * (len(values) - 1))
 
 
 def _first_finished(table: EpisodeTable, number: int) -> NDArray[np.int64]:

@@ -113,14 +113,18 @@ def ends_of(drawn: npt.NDArray[np.float64], freedom: float, wider: float) -> tup
     return float(low), float(high)
 
 
-def least_shown(error: float, power: float) -> float:
+def least_shown(error: float, power: float, freedom: float = math.inf) -> float:
     """The smallest difference that a two-sided test at the 5 % level shows with a probability `power`.
 
-    For normal means: (z_0.975 + z_power) times the standard error of the difference, in its unit.
-    """
-    from scipy import stats
+    For normal means: (t_0.975 + t_power) times the standard error of the difference, in its unit. With the normal law's
+    quantiles instead of Student's, a difference that is told to be seen in 80 % of comparisons of 8 pairs is seen in
+    67 %.
 
-    return float(stats.norm.ppf(0.975) + stats.norm.ppf(power)) * error
+    freedom  degrees of freedom of the error; infinite where it is known
+    """
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.975) + stdtrit(freedom, power)) * error
 
 
 def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:

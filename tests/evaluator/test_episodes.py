@@ -135,7 +135,7 @@ def test_what_a_reader_gets(tmp_path: Path) -> None:
     assert returned["iqm"] == pytest.approx(float(np.sort(found.returns.ravel())[48:144].mean()))
     assert returned["iqm_ci95"][0] < returned["iqm"] < returned["iqm_ci95"][1]
     by_env = found.returns.mean(axis=1)
-    shown_with = stats.norm.ppf(0.975) + stats.norm.ppf(0.8)
+    shown_with = stats.t.ppf(0.975, 126) + stats.t.ppf(0.8, 126)
     assert returned["least_shown"] == pytest.approx(shown_with * (2 * by_env.var(ddof=1) / 64) ** 0.5)
     assert policy["distinct_starts"] == 192 and policy["chosen"] == "given"
     largest = json.loads(call("gsb-episodes", path, "--json", "-", code=0).stdout)["policy"]

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from gpusimbench.evaluator.episodes.comparison import unpaired_interval
 from gpusimbench.evaluator.statistics.cases import (
@@ -107,6 +108,14 @@ def test_what_is_shown_with_a_power() -> None:
     least = least_shown(error, power)
     drawn = RNG.normal(least, error, size=20_000)
     assert np.mean(np.abs(drawn) > 1.959963984540054 * error) == pytest.approx(power, abs=0.015)
+
+
+@pytest.mark.parametrize("cases", [4, 8, 64])
+def test_what_few_cases_show_with_a_power(cases: int) -> None:
+    """Be shown by a t-test as often as is said, of as many cases as its error is known from."""
+    least = least_shown(1 / cases**0.5, 0.8, cases - 1)
+    drawn = RNG.normal(least, size=(20_000, cases))
+    assert np.mean(stats.ttest_1samp(drawn, 0, axis=1).pvalue < 0.05) == pytest.approx(0.8, abs=0.025)
 
 
 def test_rows_that_differ() -> None:
