@@ -95,7 +95,7 @@ def capturing(metric: Estimate) -> str:
 def size(value: float, digits: str = ".3g") -> str:
     """An amount of memory [bytes] in a fitting decimal unit."""
     for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if abs(value) >= scale:
+        if abs(value) >= 0.9995 * scale:  # which rounds up to 1
             return f"{format(value / scale, digits).rstrip('.')} {unit}"
     return f"{value:.0f} B"
 
@@ -145,7 +145,7 @@ def all_alike(metric: Estimate) -> str:
 
 def _length(metres: float) -> str:
     for unit, size in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6)):
-        if metres >= size:
+        if metres >= 0.9995 * size:
             return f"{metres / size:.3g} {unit}"
     return f"{metres * 1e9:.3g} nm"
 

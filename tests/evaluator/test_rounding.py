@@ -1,9 +1,11 @@
-"""Shares and bounds in per cent are never rounded to what they are not."""
+"""Shares and bounds in per cent are never rounded to what they are not, and amounts have a unit that suits them."""
 
 from __future__ import annotations
 
 import pytest
 
+from gpusimbench.evaluator.diff.words import length
+from gpusimbench.evaluator.report.words import size
 from gpusimbench.schemas.text import bound, percent
 
 
@@ -26,3 +28,11 @@ def test_an_upper_bound(runs: int) -> None:
     shown = float(bound(below).removesuffix(" %")) / 100
     assert shown == pytest.approx(below, rel=0.04) and (shown >= below or below > 0.095)
     assert bound(0.0) == "0 %"
+
+
+def test_an_amount_that_rounds_up_to_the_next_unit() -> None:
+    """Print 1 GB, and not 1e+03 MB."""
+    assert [size(value) for value in (999.6e6, 999.4e6, 1e9, 999.6e3)] == ["1 GB", "999 MB", "1 GB", "1 MB"]
+    assert size(999.6e6, "#.4g") == "0.9996 GB"
+    lengths = [length(metres) for metres in (0.9996, 9.996e-4, 9.994e-4, 9.997e-7)]
+    assert lengths == ["1 m", "1 mm", "999 µm", "1 µm"]
