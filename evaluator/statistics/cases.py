@@ -34,7 +34,7 @@ class Paired:
     p_value  that signs drawn at random give a mean as far from zero (sign-flip permutation test, two-sided)
     cases    that were compared
     visible  smallest mean difference that so many cases show with 95 % probability at the 5 % level, from the spread
-             of the differences: (z_0.975 + z_0.95) SD / sqrt(cases), for normal means; 0 where there is no spread, None
+             of the differences: (t_0.975 + t_0.95) SD / sqrt(cases), for normal means; 0 where there is no spread, None
              for one case, which has none to tell
     """
 
@@ -162,7 +162,7 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
         mean_interval(difference, seed=seed),
         float(tested.pvalue),
         len(difference),
-        least_shown(error, 0.95),
+        least_shown(error, 0.95, len(difference) - 1),
     )
 
 
