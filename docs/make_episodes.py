@@ -1,5 +1,5 @@
 """Redraws the tables of docs/how-to/evaluate-a-policy.md: one policy, evaluated by two rules among more environments,
-and how often intervals hold the true rate.
+and how often intervals hold the true rate, and the mean return.
 
 usage: python docs/make_episodes.py
 
@@ -21,6 +21,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.episodes.outcome import Outcome, outcome
 from gpusimbench.evaluator.episodes.side import Choice, choose, read_side
 from gpusimbench.evaluator.episodes.success import At
+from gpusimbench.evaluator.statistics.cases import mean_interval, resampled
 from gpusimbench.evaluator.statistics.rates import rate_interval, wilson
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -99,9 +100,38 @@ def intervals_table() -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in [titles, ["---"] * len(titles), *rows])
 
 
+LAWS = {"normal": (np.random.Generator.normal, 0.0), "exponential": (np.random.Generator.exponential, 1.0)}
+"""Of the mean returns of environments: how to draw them, and their mean."""
+
+
+def held_returns(n_env: int, law: str) -> tuple[float, float]:
+    """Shares of draws in which our interval, and plain percentiles, hold the mean return."""
+    draw, mean = LAWS[law]
+    rng = np.random.default_rng(0)
+    found = []
+    for seed in range(4 * DRAWS):
+        values = draw(rng, size=n_env)
+        ours = mean_interval(values, seed=seed)
+        assert ours is not None
+        drawn = resampled(lambda cases, of=values: of[cases].mean(axis=1), n_env, seed=seed)
+        plain = np.quantile(drawn, (0.025, 0.975))
+        found.append([low <= mean <= high for low, high in (ours, plain)])
+    ours, plain = np.mean(found, axis=0)
+    return float(ours), float(plain)
+
+
+def returns_table() -> str:
+    """How often intervals hold the mean return, as Markdown."""
+    rows = [["environments", *(f"{law} returns" for law in LAWS)], ["---"] * (1 + len(LAWS))]
+    for n_env in (8, 16, 32, 64):
+        cells = [held_returns(n_env, law) for law in LAWS]
+        rows.append([str(n_env), *(f"{ours:.0%} ({plain:.0%})".replace("%", " %") for ours, plain in cells)])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
 def main() -> None:
     """Write the tables into the page."""
-    redraw(PAGE, {"episodes": table(), "intervals": intervals_table()})
+    redraw(PAGE, {"episodes": table(), "intervals": intervals_table(), "returns": returns_table()})
 
 
 if __name__ == "__main__":

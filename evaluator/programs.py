@@ -12,6 +12,7 @@ from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.brief import brief
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference, Verdict
+from gpusimbench.evaluator.diff.sections import remarks
 from gpusimbench.evaluator.diff.verdict import verdict_of
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.read.recording import Recording
@@ -147,7 +148,7 @@ def runs_document(found: Comparison) -> Document:
     shown = _shown(found)
     if shown is not None and shown.difference is not None:
         blocks.append(Text(f"  {shown.name} of run 0 (a) and of run {shown.run} (b):"))
-        blocks.append(brief(shown.difference, every=False))
+        blocks += [brief(shown.difference, every=False), *remarks(shown.difference, every=False)]
         if shown.difference.program is not None and shown.difference.different:
             blocks.append(words.section(shown.difference.program, shown.difference.a.dt))
     return Document("", tuple(blocks))
@@ -160,9 +161,13 @@ def dump_json(found: Comparison) -> str:
 
 
 def _shown(found: Comparison) -> Compared | None:
-    """The pair that is shown at length: the first that differs, or the first."""
-    pairs = [one for one in found.compared if one.difference is not None]
-    return next((one for one in pairs if one.difference and one.difference.different), next(iter(pairs), None))
+    """The pair that is shown at length: the first that differs, else that was not compared in all, else the first."""
+
+    def order(one: Compared) -> tuple[bool, bool]:
+        of = one.difference
+        return not (of and of.different), not (of and (of.compared.left_out or of.lost))
+
+    return min((one for one in found.compared if one.difference is not None), key=order, default=None)
 
 
 def _verdicts(found: Comparison) -> list[Block]:

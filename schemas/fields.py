@@ -127,7 +127,12 @@ class StateField:
 
 
 def body_field(group: str, field: str, dtype: str, items: tuple[str, ...], *, note: str = "") -> StateField:
-    """A pose or velocity field of a group of bodies, with the unit and frame that the format gives it."""
+    """A pose or velocity field of a group of bodies, with the unit and frame that the format gives it.
+
+    UsageError for a field that is not in BODY_FIELDS.
+    """
+    if field not in BODY_FIELDS:
+        raise UsageError(f"'{field}' is no field of bodies; these are: {', '.join(BODY_FIELDS)}")
     kind = FIELD_KINDS[field]
     return StateField(group, field, dtype, items, kind.components, kind.unit, kind.frame, note)
 

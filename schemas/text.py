@@ -5,6 +5,7 @@ Nothing else is printed: `show` and `evaluator.render.console` take these and ma
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 import unicodedata
@@ -78,6 +79,21 @@ def plural(number: int, what: str, several: str = "", *, spec: str = "") -> str:
     spec     format of the number, such as "," for 1,000
     """
     return f"{number:{spec}} {what if number == 1 else several or f'{what}s'}"
+
+
+def percent(share: float) -> str:
+    """A share in whole percent; 0 % and 100 % are said of exact values alone."""
+    if 0 < share < 0.005:
+        return "less than 1 %"
+    return "more than 99 %" if 0.995 <= share < 1 else f"{100 * share:.0f} %"
+
+
+def bound(share: float) -> str:
+    """An upper bound of a share in percent: whole ones, and of less than 10 % two digits, rounded up."""
+    if share >= 0.095:
+        return f"{100 * share:.0f} %"
+    digits = 10 ** (1 - math.floor(math.log10(100 * share))) if share > 0 else 1.0
+    return f"{math.ceil(100 * share * digits) / digits:.2g} %"
 
 
 def show(text: Line | Block, *, error: bool = False) -> None:

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, comparable, identical
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate
 from gpusimbench.evaluator.runs.state_hashes import ArrayHistory, Histories
-from gpusimbench.schemas.text import plural
+from gpusimbench.schemas.text import bound, plural
 
 _ENVS, _RUNS = "bits of environments", "bits of runs"
 _STATES = "states of head and base"
@@ -140,7 +140,7 @@ def _bound(name: str, alike: Estimate, change: Change) -> str:
         return ""
     below: Any = 1 - 0.05 ** (1 / (alike.n - 1))
     return (
-        f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {100 * below:.0f} % "
+        f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {bound(below)} "
         "(95 % confidence)"
     )
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from gpusimbench.evaluator.compare.compare import Compared, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
+from gpusimbench.evaluator.episodes.document import difference, number
 from gpusimbench.evaluator.render.numbers import NONE, figure
 from gpusimbench.evaluator.report.words import size
 from gpusimbench.evaluator.results.metric import Axis, Direction
@@ -21,7 +22,7 @@ def cells(finding: Finding, result: Result) -> tuple[str, ...]:
     )
     interval = f"[{_times(finding.ci95[0])}, {_times(finding.ci95[1])}]" if finding.ci95 else NONE
     if finding.difference_ci95:
-        interval = f"by [{', '.join(f'{end:+.4g}' for end in finding.difference_ci95)}]"
+        interval = f"by [{', '.join(difference(end, finding.name, sign=True) for end in finding.difference_ci95)}]"
     p = NONE if finding.p_adjusted is None else f"{finding.p_adjusted:.2g}"
     ratio = NONE if finding.ratio is None else _times(finding.ratio)
     return title(finding), base, head, ratio, interval, p, verdict(finding, result)
@@ -221,5 +222,5 @@ def _amount(value: float | None, said: str, finding: Finding) -> str:
     if finding.unit == "B":
         return size(value, "#.4g")
     if finding.axis in (Axis.EPISODES, Axis.LENGTHS):
-        return f"{value:.4g}"  # returns and lengths of any size, beside an interval with as many digits
+        return number(value, finding.name)  # returns and lengths of any size, beside an interval with as many digits
     return f"{value:.3g}" if finding.unit == "s" else figure(value, finding.unit)

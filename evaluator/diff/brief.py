@@ -117,6 +117,8 @@ def _growth(growth: Growth) -> Pairs:
     parts += reached(growth)
     if not isinstance(growth.fit, Missing) and not growth.fit.why_no_rate:
         parts.append(f"exponential rate {growth.fit.rate:.3g} /s")
+    if growth.not_finite_from is not None:
+        parts.append(f"without positions that are not finite, first at step {growth.not_finite_from}")
     return [("growth", ", ".join(parts))]
 
 

@@ -41,7 +41,7 @@ _FIELDS = 8
 
 def diff_document(found: Difference, *, every: bool = False) -> Document:
     """The verdict and what it rests on; with `every`, all that is known."""
-    blocks: list[Block] = [verdict_of(found), brief(found, every=every), *_remarks(found, every)]
+    blocks: list[Block] = [verdict_of(found), brief(found, every=every), *remarks(found, every=every)]
     sections: list[Section | None] = [_fields(found), _distances(found.growth), _equal(found)] if found.first else []
     if found.program is not None:
         sections.append(words.section(found.program, found.a.dt))
@@ -62,7 +62,7 @@ def _in_ulps(found: Difference) -> bool:
     return state is not None and words.in_ulps(state.number, named=True).endswith("ULP")
 
 
-def _remarks(found: Difference, every: bool) -> list[Block]:
+def remarks(found: Difference, *, every: bool) -> list[Block]:
     """What was not compared or is not there, in a warning's colour, and what else must be known."""
     made = [Item(f"  not compared: {text}", Tone.WARNING) for text in found.compared.left_out]
     made += [Item(f"  incomplete: {text}", Tone.WARNING) for text in found.lost]
@@ -90,7 +90,7 @@ def _fields(found: Difference) -> Section | None:
         [_row(field) for field in found.compared.fields],
     )
     kinds = [
-        Item(f"  {field.field}: {count:,} of the differing numbers are {what}")
+        Item(f"  {field.field}: {count:,} of the differing numbers {'is' if count == 1 else 'are'} {what}")
         for field in differing
         for count, what in (
             (field.signed_zeros, "0.0 against -0.0"),

@@ -106,7 +106,7 @@ def length(metres: float | None) -> str:
     if metres == 0:
         return "0"
     for unit, size in (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9)):
-        if metres >= size:
+        if metres >= 0.9995 * size:  # which rounds up to 1
             return f"{metres / size:.3g} {unit}" if metres < 1e4 else f"{metres:.3g} m"
     return f"{metres:.2g} m"
 

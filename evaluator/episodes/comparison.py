@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, error_of_mean, interval_of, shown
 from gpusimbench.evaluator.episodes.side import Episodes
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.statistics.cases import APART, DRAWS, FEWEST, PERMUTATIONS, in_proportion, paired
+from gpusimbench.evaluator.statistics.cases import (
+    APART,
+    FEWEST,
+    PERMUTATIONS,
+    ends_of,
+    in_proportion,
+    paired,
+    resampled,
+)
 from gpusimbench.evaluator.statistics.families import holm
 from gpusimbench.evaluator.statistics.rates import mcnemar
 
@@ -143,13 +151,14 @@ def difference_of(
         found, error = paired(one, other, seed=_SEED), error_of_mean(first - second)
         return Difference(
             name, unit, found.mean, interval_of(found.ci95, error), found.p_value, found.p_value,
-            "signs of differences exchanged by environment", discordant, shown(error),
+            "signs of differences exchanged by environment", discordant, shown(error, len(one) - 1),
         )  # fmt: skip
     p = _exchanged(one, other, even=even)
     error = _combined(error_of_mean(first), error_of_mean(second))
     return Difference(
-        name, unit, float(one.mean() - other.mean()), interval_of(_unpaired_interval(one, other), error), p, p,
-        f"environments exchanged between policies{'' if even else ', Welch t'}", discordant, shown(error),
+        name, unit, float(one.mean() - other.mean()), interval_of(unpaired_interval(one, other), error), p, p,
+        f"environments exchanged between policies{'' if even else ', Welch t'}", discordant,
+        shown(error, len(one) + len(other) - 2),
     )  # fmt: skip
 
 
@@ -198,10 +207,19 @@ def _exchanged(one: NDArray[np.float64], other: NDArray[np.float64], *, even: bo
     return float(tested.pvalue)
 
 
-def _unpaired_interval(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float] | None:
-    if min(len(one), len(other)) < FEWEST:
+def unpaired_interval(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float] | None:
+    """95 % interval of the difference of the means of two samples, [env] each, by resampling both; see ends_of.
+
+    None for fewer than FEWEST environments of either, and where neither spreads.
+    """
+    sizes = np.array([len(one), len(other)])
+    if sizes.min() < FEWEST:
         return None
-    rng = np.random.default_rng(_SEED)
-    drawn = [rng.choice(one, len(one)).mean() - rng.choice(other, len(other)).mean() for _ in range(DRAWS)]
-    low, high = np.quantile(drawn, (0.025, 0.975))
-    return float(low), float(high)
+    squares = np.array([float((side - side[0]).var(ddof=1)) for side in (one, other)]) / sizes
+    total = float(squares.sum())
+    if not total:
+        return None
+    first = resampled(lambda drawn: one[drawn].mean(axis=1), len(one), seed=_SEED)
+    second = resampled(lambda drawn: other[drawn].mean(axis=1), len(other), seed=_SEED + 1)
+    freedom = total**2 / float((squares**2 / (sizes - 1)).sum())  # Welch's
+    return ends_of(first - second, freedom, (total / float((squares * (sizes - 1) / sizes).sum())) ** 0.5)

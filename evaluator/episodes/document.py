@@ -19,6 +19,9 @@ _QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "detectable
 _DIFFERENCES = ("", "difference", "95 %", "p", "p, Holm", "detectable")
 _NOTABLE = 0.01
 _NUMBERS = 4
+_DIGITS = 6
+"""Decimals of a share of success at most."""
+
 _MOST_DISTINCT = 0.95
 _DETECTABLE = "detectable: the smallest difference that {} would show with a probability of 80 % at the 5 % level."
 
@@ -109,7 +112,7 @@ def _policy(of: Outcome, title: str) -> Iterator[Block]:
         ),
         (
             "ended",
-            f"{of.terminated} terminated, {of.episodes - of.terminated} truncated; "
+            f"{of.terminated} terminated, the other {of.episodes - of.terminated} truncated; "
             f"mean length {of.mean_length:.4g} steps",
         ),
         *([("success", f"{of.success} at {AT[of.success_at.value]}")] if of.success else []),
@@ -203,7 +206,10 @@ def number(value: float | Missing, name: str, *, sign: bool = False) -> str:
     if isinstance(value, Missing):
         return NONE
     if name == SUCCESS:
-        return f"{100 * value:{'+' if sign else ''}.1f} %"
+        size = abs(100 * value)
+        # "100.0 %" is what all episodes come to, and "0.0 %" none
+        whole = (digits for digits in range(1, _DIGITS) if round(size, digits) not in (0, 100) or size in (0, 100))
+        return f"{100 * value:{'+' if sign else ''}.{next(whole, _DIGITS)}f} %"
     return f"{value:{'+' if sign else ''}.4g}"
 
 

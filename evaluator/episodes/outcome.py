@@ -25,6 +25,8 @@ from gpusimbench.evaluator.statistics.rates import interquartile_mean, rate_inte
 POWER = 0.8
 """Of the smallest differences that are printed."""
 
+_ROUNDING = 1e-12
+
 SUCCESS, RETURN = "success", "return"
 _FEW = Missing(f"fewer than {FEWEST} environments")
 _ALIKE = Missing("all environments have the same mean")
@@ -150,11 +152,11 @@ def interval_of(interval: tuple[float, float] | None, error: float | Missing) ->
     return _ALIKE if error == 0 else interval or _FEW
 
 
-def shown(error: float | Missing) -> float | Missing:
+def shown(error: float | Missing, freedom: float) -> float | Missing:
     """The smallest difference that is shown with a probability POWER, from its standard error; see least_shown."""
     if isinstance(error, Missing):
         return error
-    return least_shown(error, POWER) if error else _ALIKE
+    return least_shown(error, POWER, freedom) if error else _ALIKE
 
 
 def error_of_mean(values: NDArray[np.float64]) -> float | Missing:
@@ -219,7 +221,7 @@ def _alike(values: NDArray[np.float64]) -> dict[str, float | Missing]:
 
 def _least_of_two(values: NDArray[np.float64]) -> float | Missing:
     error = error_of_mean(values)
-    return shown(error if isinstance(error, Missing) else 2**0.5 * error)
+    return shown(error if isinstance(error, Missing) else 2**0.5 * error, 2 * (len(values) - 1))
 
 
 def _first_finished(table: EpisodeTable, number: int) -> NDArray[np.int64]:
@@ -244,18 +246,19 @@ def _finish_order(
     n_env = episodes.n_env
     number = episodes.by_cluster(np.bincount(envs, minlength=n_env))
     total = episodes.by_cluster(np.bincount(envs, weights=np.concatenate(of_first), minlength=n_env))
-    by_env = values.mean(axis=1)
+    by_env, largest = values.mean(axis=1), np.abs(values).max()
 
     def difference(drawn: NDArray[np.int64]) -> NDArray[np.float64]:
         counted = number[drawn].sum(axis=1)
         early = total[drawn].sum(axis=1) / np.where(counted > 0, counted, 1)
-        return np.where(counted > 0, early - by_env[drawn].mean(axis=1), 0.0)  # of none that finished, nothing is known
+        found = early - by_env[drawn].mean(axis=1)
+        # of none that finished, nothing is known; equal values have means that differ by rounding
+        return np.where((counted > 0) & (np.abs(found) > _ROUNDING * largest), found, 0.0)
 
     ci95 = interval_over_cases(difference, len(values)) or _FEW
-    mean = float(total.sum() / number.sum())
     return FinishOrder(
-        mean=mean,
-        difference=mean - float(by_env.mean()),
+        mean=float(total.sum() / number.sum()),
+        difference=float(difference(np.arange(len(values))[np.newaxis])[0]),
         ci95=ci95,
         biased=not isinstance(ci95, Missing) and not ci95[0] <= 0 <= ci95[1],
     )

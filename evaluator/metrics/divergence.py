@@ -118,6 +118,8 @@ class GrowthFit:
     r_squared     share of the variance of log(distance) that the line explains
     points        that the line goes through
     begin, end    times of the first and the last of them [s]
+    power_r_squared  as r_squared, of a power of the time since the last step without a distance,
+                  log(distance) = k log(t - t0) + constant
     """
 
     rate: float
@@ -125,13 +127,21 @@ class GrowthFit:
     points: int
     begin: float
     end: float
+    power_r_squared: float
 
     @property
     def why_no_rate(self) -> str:
         """Why the slope is not told to people as a rate of growth; empty where it is."""
-        if self.r_squared >= MIN_R_SQUARED:
-            return ""
-        return f"no rate: R2 {math.floor(self.r_squared * 100) / 100:.2f} of the exponential is below {MIN_R_SQUARED:g}"
+        if self.r_squared < MIN_R_SQUARED:
+            shown = math.floor(self.r_squared * 100) / 100
+            return f"no rate: R2 {shown:.2f} of the exponential is below {MIN_R_SQUARED:g}"
+        # a line through 100 points of any power of time has an R2 of 0.80
+        if self.r_squared < self.power_r_squared:
+            return (
+                f"no rate: the distance grows as a power of time (R2 {self.power_r_squared:.3f}) rather than as an "
+                f"exponential ({self.r_squared:.3f})"
+            )
+        return ""
 
     @property
     def doubling_time(self) -> float | None:
@@ -169,12 +179,21 @@ def fit_growth(
         )
     t, y = times[window], np.log(distances[window])
     t0, y0 = t - t.mean(), y - y.mean()
-    rate = float(t0 @ y0 / (t0 @ t0))
     total = float(y0 @ y0)
-    left = float(((y0 - rate * t0) ** 2).sum())
     if total == 0:
         return Missing(f"the distance is the same at all {len(window)} steps of the window: it does not grow")
-    return GrowthFit(rate, 1 - left / total, len(window), float(t[0]), float(t[-1]))
+    rate, left = _line(t0, y0)
+    begin = int(window[0])
+    since = times[begin - 1] if begin else times[0] - (times[1] - times[0])
+    log_since = np.log(t - since)
+    _, left_of_power = _line(log_since - log_since.mean(), y0)
+    return GrowthFit(rate, 1 - left / total, len(window), float(t[0]), float(t[-1]), 1 - left_of_power / total)
+
+
+def _line(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """Slope of the line through centred numbers by least squares, and the sum of squares that it leaves."""
+    slope = float(x @ y / (x @ x))
+    return slope, float(((y - slope * x) ** 2).sum())
 
 
 def first_reaching(times: npt.NDArray[np.float64], distances: npt.NDArray[np.float64], size: float) -> float | None:

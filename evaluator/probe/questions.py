@@ -21,8 +21,8 @@ from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding, first_of
 from gpusimbench.evaluator.probe.pairs import Found, Pairs, held
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
-from gpusimbench.schemas.text import plural
-from gpusimbench.schemas.treatment import KINDS, Intervention
+from gpusimbench.schemas.text import bound, plural
+from gpusimbench.schemas.treatment import KINDS, Initial, Intervention
 
 _WHY = 60  # characters of why an arm is missing
 
@@ -173,7 +173,7 @@ def _runs(arms: Arms) -> Asked | Missing:
         return asked
     agreed = sum(not isinstance(one, Missing) for one in found)
     below = upper_bound_of_none(agreed)
-    return asked._replace(detail=f"one more run differs with a probability below {100 * below:.0f} % (95 % confidence)")
+    return asked._replace(detail=f"one more run differs with a probability below {bound(below)} (95 % confidence)")
 
 
 def _envs(arms: Arms) -> Asked | Missing:

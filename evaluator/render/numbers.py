@@ -20,17 +20,17 @@ def distance(value: float) -> str:
 
 
 def figure(value: float, unit: str) -> str:
-    """A value in its unit's usual precision."""
+    """A value in its unit's usual precision, and never zero for what is not."""
     if unit == "cm":
         return distance(value)
     if unit == "env-steps/s":
-        return f"{value:,.0f}"
+        return f"{value:,.0f}" if value == 0 or abs(value) >= 0.5 else f"{value:.1g}"
     if unit == "s":
         return seconds(value)
     if unit == "rad":
         return f"{value:.3g}"
     if unit in ("GB", "MB"):
-        return f"{value:.2f}"
+        return f"{value:.2f}" if value == 0 or abs(value) >= 0.005 else f"{value:.1g}"
     if value == round(value):
         return f"{value:.0f}"
     return f"{value:.2f}" if abs(value) >= 0.005 else f"{value:.1g}"
@@ -62,8 +62,10 @@ def ulps(count: int | None, *, signs_differ: bool = False) -> str:
 
 
 def seconds(value: float) -> str:
-    """A time in as many digits as matter."""
-    return f"{value:.0f}" if value >= 100 else f"{value:.2g}" if value >= 0.01 else "0"
+    """A time, or a difference of times, in as many digits as matter."""
+    if abs(value) >= 99.5:
+        return f"{value:.0f}"
+    return f"{value:.2g}" if abs(value) >= 0.01 else f"{value:.1g}"
 
 
 def estimate(found: Estimate, *notes: str, tone: Tone = Tone.PLAIN) -> Cell:

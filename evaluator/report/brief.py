@@ -11,7 +11,7 @@ from gpusimbench.evaluator.probe.arms import name_of
 from gpusimbench.evaluator.probe.finding import verdict_of
 from gpusimbench.evaluator.render.document import EMPTY, NONE, Block, Cell, Document, Facts, Text, Tone, facts, table
 from gpusimbench.evaluator.render.numbers import estimate
-from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.leaders import Fastest, fastest, not_ranked
 from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sentence
 from gpusimbench.evaluator.report.sections.convergence import sentence
@@ -69,8 +69,7 @@ def _verdict(evaluation: Evaluation) -> str:
     if len(results) == 1:
         return f"{results[0].label}: {_says(results[0])}"
     claims = [identical(r.metrics[DISTINCT_RUNS.name]).holds for r in results]
-    yes, no = claims.count(True), claims.count(False)
-    said = [f"{yes} of {plural(yes + no, 'group')} with several runs repeat bit for bit"] if yes + no else []
+    said = [words.repeating(claims)] if set(claims) - {None} else []
     invalid = sum(any(run.status == "invalid" for run in r.group.recordings) for r in results)
     if invalid:
         said.append(f"{plural(invalid, 'group')} with INVALID runs")
@@ -218,8 +217,11 @@ def _fastest(found: Fastest, results: Sequence[GroupResult]) -> str:
     where = f"{found.scene} on {found.device or 'an unnamed device'}"
     said = f"Fastest valid simulator in {where}: "
     said += f"{found.first.result.label}, {found.first.said}" if found.first else "none"
+    if found.rival:
+        said += f"; not shown to be slower: {found.rival.result.label}, {found.rival.said}"
     passed = [f"{few([r.label for r in those], _PASSED)} ({why})" for why, those in not_ranked(found, results).items()]
-    return said + (f"; faster, but not ranked: {'; '.join(passed)}" if passed else "")
+    faster = "faster, but not ranked" if found.first else "not ranked"
+    return said + (f"; {faster}: {'; '.join(passed)}" if passed else "")
 
 
 def _troubles(evaluation: Evaluation) -> Iterator[Text]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from statistics import median
 
 from gpusimbench.evaluator.metrics.cotenants import Presence
@@ -27,7 +27,7 @@ from gpusimbench.evaluator.results.validity import BufferUse, Counted, OverflowS
 from gpusimbench.evaluator.runs.groups import Group, shown_status
 from gpusimbench.evaluator.statistics.floor import Floor
 from gpusimbench.evaluator.statistics.regimes import RegimeProbabilities
-from gpusimbench.schemas.text import plural
+from gpusimbench.schemas.text import bound, percent, plural
 
 
 def trouble(group: Group[Described]) -> str:
@@ -55,7 +55,7 @@ _NOT_TOLD = "not told"
 
 def share(use: BufferUse) -> str:
     """How much of a buffer was needed."""
-    return f"{use.share:.0%}" if use.share is not None else _NOT_TOLD
+    return percent(use.share) if use.share is not None else _NOT_TOLD
 
 
 def overflow(validity: Validity) -> str:
@@ -79,6 +79,12 @@ def count_of(metric: Estimate) -> str:
     return NONE if isinstance(metric.value, Missing) else f"{metric.value:.0f} of {metric.n}"
 
 
+def repeating(claims: Sequence[bool | None]) -> str:
+    """How many groups repeat themselves bit for bit, of those of which it is known."""
+    yes, of = claims.count(True), sum(claim is not None for claim in claims)
+    return f"{yes} of {plural(of, 'group')} with several runs {'repeats' if 1 in (yes, of) else 'repeat'} bit for bit"
+
+
 def capturing(metric: Estimate) -> str:
     """What capturing costs a step, and the share of it in which the engine waited for the disk."""
     if isinstance(metric.value, Missing):
@@ -89,7 +95,7 @@ def capturing(metric: Estimate) -> str:
 def size(value: float, digits: str = ".3g") -> str:
     """An amount of memory [bytes] in a fitting decimal unit."""
     for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if abs(value) >= scale:
+        if abs(value) >= 0.9995 * scale:  # which rounds up to 1
             return f"{format(value / scale, digits).rstrip('.')} {unit}"
     return f"{value:.0f} B"
 
@@ -139,7 +145,7 @@ def all_alike(metric: Estimate) -> str:
 
 def _length(metres: float) -> str:
     for unit, size in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6)):
-        if metres >= size:
+        if metres >= 0.9995 * size:
             return f"{metres / size:.3g} {unit}"
     return f"{metres * 1e9:.3g} nm"
 
@@ -167,7 +173,7 @@ def regime(metric: Estimate) -> str:
     share = again.probabilities[number - 1]
     if share == 1 and again.agreement:
         return f"{number} ({alike(again)})"
-    return f"{number} (in {'all' if share == 1 else format(share, '.0%') + ' of'} resamples of {again.runs} runs)"
+    return f"{number} (in {'all' if share == 1 else f'{percent(share)} of'} resamples of {again.runs} runs)"
 
 
 def resampled(metric: Estimate) -> RegimeProbabilities | None:
@@ -186,8 +192,8 @@ def alike(again: RegimeProbabilities) -> str:
 def another(again: RegimeProbabilities) -> str:
     """What is not excluded where all runs of a published type are alike: that another run differs."""
     how = "in some bit" if again.agreement == "bits" else "by 0.01 cm"
-    below = 100 * (1.0 if again.run_differs_below is None else again.run_differs_below)
-    return f"another run differs {how} with a probability below {below:.0f} % (95 % confidence)"
+    below = bound(1.0 if again.run_differs_below is None else again.run_differs_below)
+    return f"another run differs {how} with a probability below {below} (95 % confidence)"
 
 
 def floor_of(metric: Estimate) -> Floor:

@@ -304,7 +304,7 @@ DIVERGENCE_RATE = Metric(
     "rate of an exponential fitted to the largest distance of a body from the same body in environment 0, from the "
     "first nonzero distance up to 1 mm (without bodies, to the largest difference of a hinge, up to 1 mrad). Mean over "
     "runs, with the curve of one run. A run has no rate if R squared of "
-    f"its fit is below {MIN_R_SQUARED:g}: [`divergence`](#divergence) has the fit",
+    f"its fit is below {MIN_R_SQUARED:g}, or below that of a power of time: [`divergence`](#divergence) has the fit",
     method="rate of an exponential through the largest distance of a body from environment 0, from the first that is "
     f"not zero up to {FIT_LIMIT_M * _MM_PER_M:g} mm",
     table=Table.VARIABILITY, values=each(_rate), details=_growth, optional=True,

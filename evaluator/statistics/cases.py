@@ -34,7 +34,7 @@ class Paired:
     p_value  that signs drawn at random give a mean as far from zero (sign-flip permutation test, two-sided)
     cases    that were compared
     visible  smallest mean difference that so many cases show with 95 % probability at the 5 % level, from the spread
-             of the differences: (z_0.975 + z_0.95) SD / sqrt(cases), for normal means; 0 where there is no spread, None
+             of the differences: (t_0.975 + t_0.95) SD / sqrt(cases), for normal means; 0 where there is no spread, None
              for one case, which has none to tell
     """
 
@@ -56,7 +56,7 @@ def in_proportion(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def mean_interval(values: npt.ArrayLike, *, seed: int = 0) -> tuple[float, float] | None:
-    """95 % interval of a mean over cases, by resampling cases (percentile bootstrap, Efron 1979).
+    """95 % interval of a mean over cases, by resampling cases; see ends_of.
 
     values  one a case, shape [case]
 
@@ -65,17 +65,13 @@ def mean_interval(values: npt.ArrayLike, *, seed: int = 0) -> tuple[float, float
     found = np.asarray(values, dtype=np.float64)
     if found.ndim != 1:
         raise ValueError(f"values have the shape [case], not {found.shape}")
-    if len(found) < FEWEST:
-        return None
-    drawn = np.random.default_rng(seed).integers(len(found), size=(DRAWS, len(found)))
-    low, high = np.quantile(found[drawn].mean(axis=1), (0.025, 0.975))
-    return float(low), float(high)
+    return interval_over_cases(lambda drawn: found[drawn].mean(axis=1), len(found), seed=seed)
 
 
 def interval_over_cases(
     statistic: Callable[[npt.NDArray[np.int64]], npt.NDArray[np.float64]], cases: int, *, seed: int = 0
 ) -> tuple[float, float] | None:
-    """95 % interval of any statistic of cases, by resampling cases (percentile bootstrap, Efron 1979).
+    """95 % interval of any statistic of cases, by resampling cases; see ends_of.
 
     statistic  takes the numbers of drawn cases, shape [draw, case], with repetitions, and returns numbers [draw]
 
@@ -83,22 +79,52 @@ def interval_over_cases(
     """
     if cases < FEWEST:
         return None
+    return ends_of(resampled(statistic, cases, seed=seed), cases - 1, math.sqrt(cases / (cases - 1)))
+
+
+def resampled(
+    statistic: Callable[[npt.NDArray[np.int64]], npt.NDArray[np.float64]], cases: int, *, seed: int
+) -> npt.NDArray[np.float64]:
+    """A statistic, as of interval_over_cases, of each resampled set of cases, shape [draw]."""
     rng = np.random.default_rng(seed)
     at_once = max(1, _AT_ONCE // cases)
     sizes = [min(at_once, DRAWS - first) for first in range(0, DRAWS, at_once)]
-    found = np.concatenate([statistic(rng.integers(cases, size=(size, cases))) for size in sizes])
-    low, high = np.quantile(found, (0.025, 0.975))
+    return np.concatenate([statistic(rng.integers(cases, size=(size, cases))) for size in sizes])
+
+
+def ends_of(drawn: npt.NDArray[np.float64], freedom: float, wider: float) -> tuple[float, float]:
+    """95 % interval from the statistic of resampled sets of cases: the expanded percentile interval (Hesterberg 2015).
+
+    Resampling n cases spreads their mean by s sqrt(n - 1) / n instead of s / sqrt(n), and s is not known exactly: of
+    the intervals from the 2.5th to the 97.5th percentile, 91 % hold the mean of a normal law with n = 16. The
+    percentiles that are taken here are further apart, so that the interval is as wide as Student's where the statistic
+    is a mean of normal values:
+
+        level = Phi(-t_0.975(freedom) wider)
+
+    drawn    the statistic of each set, shape [draw]
+    freedom  degrees of freedom of the standard error
+    wider    standard error over the standard deviation of resampled sets
+    """
+    from scipy.special import ndtr, stdtrit
+
+    level = float(ndtr(-stdtrit(freedom, 0.975) * wider))
+    low, high = np.quantile(drawn, (level, 1 - level))
     return float(low), float(high)
 
 
-def least_shown(error: float, power: float) -> float:
+def least_shown(error: float, power: float, freedom: float = math.inf) -> float:
     """The smallest difference that a two-sided test at the 5 % level shows with a probability `power`.
 
-    For normal means: (z_0.975 + z_power) times the standard error of the difference, in its unit.
-    """
-    from scipy import stats
+    For normal means: (t_0.975 + t_power) times the standard error of the difference, in its unit. With the normal law's
+    quantiles instead of Student's, a difference that is told to be seen in 80 % of comparisons of 8 pairs is seen in
+    67 %.
 
-    return float(stats.norm.ppf(0.975) + stats.norm.ppf(power)) * error
+    freedom  degrees of freedom of the error; infinite where it is known
+    """
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.975) + stdtrit(freedom, power)) * error
 
 
 def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
@@ -129,26 +155,28 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
         vectorized=True,
         rng=np.random.default_rng(seed),
     )
-    error = float(difference.std(ddof=1)) / len(difference) ** 0.5
+    error = standard_error(difference)
+    assert error is not None
     return Paired(
         float(difference.mean()),
         mean_interval(difference, seed=seed),
         float(tested.pvalue),
         len(difference),
-        least_shown(error, 0.95),
+        least_shown(error, 0.95, len(difference) - 1),
     )
 
 
 def standard_error(cases: npt.NDArray[np.float64]) -> float | None:
-    """Of the mean of independent cases, shape [case]; None with fewer than two."""
-    return float(cases.std(ddof=1) / np.sqrt(len(cases))) if len(cases) > 1 else None
+    """Of the mean of independent cases, shape [case]; 0 where they are equal, None with fewer than two."""
+    # about the first case, since the mean of equal numbers rounds
+    return float((cases - cases[0]).std(ddof=1) / np.sqrt(len(cases))) if len(cases) > 1 else None
 
 
 def variation(cases: npt.NDArray[np.float64]) -> float:
     """The coefficient of variation: standard deviation over the size of the mean; infinite where cases with a mean of
     zero spread, and 0 where they do not spread, or are fewer than two."""
     spread, middle = (
-        float(cases.std(ddof=1)) if len(cases) > 1 else 0.0,
+        float((cases - cases[0]).std(ddof=1)) if len(cases) > 1 else 0.0,
         abs(float(cases.mean())) if len(cases) else 0.0,
     )
     return 0.0 if not spread else spread / middle if middle else math.inf

@@ -85,7 +85,9 @@ class Chunks:
             data = decompression.decompress(chunk.compression, stored, chunk.uncompressed_size)
         except ValueError as error:
             self._source.confirm()
-            raise DamagedRecording(f"{self._place}: the chunk at byte {begin} is damaged: {error}") from None
+            # what is compressed by another method may be as it was written
+            wrong = FailedCrc if decompression.known(chunk.compression) else DamagedRecording
+            raise wrong(f"{self._place}: the chunk at byte {begin} is damaged: {error}") from None
         if crc and not self._checked and zlib.crc32(data) != crc:
             self._source.confirm()
             raise FailedCrc(f"{self._place}: the chunk at byte {begin} fails its CRC")

@@ -12,6 +12,11 @@ at most (RFC 8878, 3.1.1.2); a byte of LZ4 lengthens a match by 255 at most."""
 _HEADROOM = 1 << 16
 
 
+def known(compression: str) -> bool:
+    """Whether chunks that are compressed with this method, "" for none, can be read."""
+    return compression in ("", *_MOST_PER_BYTE)
+
+
 def limit(compression: str, stored: int) -> int:
     """How many bytes `stored` bytes can become at most."""
     return min(MAX_BYTES, stored * _MOST_PER_BYTE.get(compression, 1) + _HEADROOM) if compression else stored
@@ -22,7 +27,7 @@ def decompress(compression: str, stored: memoryview, size: int) -> memoryview:
 
     ValueError where they are fewer or more, where the method is not known, or where anything else is in the way.
     """
-    if compression not in ("", *_MOST_PER_BYTE):
+    if not known(compression):
         raise ValueError(f"it is compressed with {compression[:40]!r}, which is not known here")
     if size > limit(compression, len(stored)):
         raise ValueError(f"it announces {size} bytes, more than its {len(stored)} can hold or may be read")

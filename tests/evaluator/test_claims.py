@@ -279,3 +279,14 @@ def test_equality_at_one_step(agree: bool | None) -> None:
     said = words.equality(identity._level(METRICS["equality_runs"], found, 2))
     assert said.startswith("bit-identical")
     assert ("sample step" in said) == (agree is None)
+
+
+def test_how_many_groups_repeat_themselves() -> None:
+    """Count those of which it is known, in words that agree with the number."""
+    said = [words.repeating(claims) for claims in ([True, None], [True, False], [False, False], [True, True])]
+    assert said == [
+        "1 of 1 group with several runs repeats bit for bit",
+        "1 of 2 groups with several runs repeats bit for bit",
+        "0 of 2 groups with several runs repeat bit for bit",
+        "2 of 2 groups with several runs repeat bit for bit",
+    ]

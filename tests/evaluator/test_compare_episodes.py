@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,14 @@ def test_a_policy_that_is_worse(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, found = compared(sweep, near, "--gate", "episodes", capsys=capsys)
     assert code == 0 and found["return"]["change"] == found["success"]["change"] == "improvement"
     assert compared(sweep, near, "--gate", "lengths", capsys=capsys)[0] == 4
+
+
+def test_success_is_in_per_cent(capsys: pytest.CaptureFixture[str]) -> None:
+    """Print shares of success in per cent and their differences in percentage points, as gsb-episodes does."""
+    near, sweep = recorded("near", 64, 4), recorded("sweep", 64, 4)
+    assert main([str(near), str(sweep), "--no-cache"]) == 4
+    (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("success of episodes"))
+    assert re.search(r" 73\.4 % +57\.8 % +by \[-\d\d\.\d pp, -\d\.\d pp\] ", row), row
 
 
 def test_one_run_twice(capsys: pytest.CaptureFixture[str]) -> None:

@@ -126,14 +126,17 @@ def test_a_difference_that_ends(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main([*runs[:2], "--all"]) == 4
     shown = capsys.readouterr().out
     assert shown.startswith("The two recordings differ first at step 7 (7 s), first in env 0: ")
-    assert "1 of the differing numbers are 0.0 against -0.0" in shown
+    assert "1 of the differing numbers is 0.0 against -0.0" in shown
     assert main([runs[0], runs[2], "--all", "--json", str(tmp_path / "found.json")]) == 4
     shown = capsys.readouterr().out
     assert shown.startswith("The two recordings differ first at step 5 (5 s), first in env 0: ")
     assert re.search(r"^cubes/position .* not finite$", shown, re.MULTILINE)
-    assert "of the differing numbers are not finite on a side, and in no distance" in shown
+    assert "of the differing numbers is not finite on a side, and in no distance" in shown
     assert "positions that are not finite, first at step 5, are left out" in shown
     assert json.loads((tmp_path / "found.json").read_text())["compared"]["fields"][0]["max_distance"] is None
+    assert main([runs[0], runs[2]]) == 4  # "never reached" is of the finite ones alone
+    short = " ".join(capsys.readouterr().out.split())
+    assert "never reached, without positions that are not finite, first at step 5" in short
 
 
 def test_a_difference_between_recorded_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ from scipy import stats
 
 from gpusimbench import NothingComparable, open_recording, wrap
 from gpusimbench.evaluator.cli.episodes import main as episodes
-from gpusimbench.evaluator.episodes import clusters, dependence
+from gpusimbench.evaluator.episodes import clusters, dependence, document
 from gpusimbench.evaluator.episodes.comparison import compare, difference_of
 from gpusimbench.evaluator.episodes.document import warnings
 from gpusimbench.evaluator.episodes.outcome import FinishOrder, Outcome, outcome, profiles
@@ -134,7 +134,7 @@ def test_what_a_reader_gets(tmp_path: Path) -> None:
     assert returned["iqm"] == pytest.approx(float(np.sort(found.returns.ravel())[48:144].mean()))
     assert returned["iqm_ci95"][0] < returned["iqm"] < returned["iqm_ci95"][1]
     by_env = found.returns.mean(axis=1)
-    shown_with = stats.norm.ppf(0.975) + stats.norm.ppf(0.8)
+    shown_with = stats.t.ppf(0.975, 126) + stats.t.ppf(0.8, 126)
     assert returned["least_shown"] == pytest.approx(shown_with * (2 * by_env.var(ddof=1) / 64) ** 0.5)
     assert policy["distinct_starts"] == 192 and policy["chosen"] == "given"
     largest = json.loads(call("gsb-episodes", path, "--json", "-", code=0).stdout)["policy"]
@@ -641,3 +641,32 @@ def test_shares_of_repeats_have_the_interval_of_whole_numbers() -> None:
     flags = np.array([[True], [False], [True], [True]])
     assert rate_interval(flags.astype(np.float64)) == rate_interval(flags) == wilson(3, 4)
     assert rate_interval(np.array([[0.5], [0.0], [1.0], [1.0]])) == (wilson(2, 4)[0], wilson(3, 4)[1])
+
+
+def test_shares_are_not_rounded_to_all_or_none() -> None:
+    """Print 100 % of all episodes alone, and a difference of zero where there is none."""
+    assert [document.number(share, "success") for share in (0.0, 0.5, 1.0)] == ["0.0 %", "50.0 %", "100.0 %"]
+    assert document.number(4095 / 4096, "success") == "99.98 %" and document.number(1 / 100_000, "success") == "0.001 %"
+    assert document.difference(-1 / 4096, "success", sign=True) == "-0.02 pp"
+
+
+def test_equal_returns_have_no_bias(tmp_path: Path) -> None:
+    """Warn of no bias where all episodes have one return, whose mean rounds; say no more of flags than is known."""
+
+    class Rewarded(search.Search):  # type: ignore[misc, name-defined]
+        def step(self, action: Any) -> tuple[Any, ...]:
+            observation, _, terminated, truncated, info = super().step(action)
+            ended = terminated or truncated
+            return observation, 0.1 * ended, ended, ended, info
+
+    envs = wrap(gymnasium.vector.SyncVectorEnv([Rewarded] * 12), tmp_path / "a.mcap", steps=60)
+    observation, _ = envs.reset(seed=0)
+    for _ in range(60):
+        observation, *_ = envs.step(search.near(observation))
+    envs.close()
+    found = outcome(
+        choose(read_side([open_recording(tmp_path / "a.mcap")]), 3, None, At.LAST), Choice.GIVEN, None, At.LAST
+    )
+    early = finish_orders(found)["return"]
+    assert found.left_out and early.difference == 0 and not early.biased
+    assert "36 terminated, the other 0 truncated" in call("gsb-episodes", tmp_path / "a.mcap", "--per-env", 3).stdout

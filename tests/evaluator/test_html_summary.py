@@ -170,6 +170,27 @@ def test_an_idle_world_is_not_the_fastest(tmp_path: Path) -> None:
     )  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("quick", "other", "rival"),
+    [
+        ((4.0, 4.4, 4.2), (4.1, 4.3, 4.3), True),
+        ((4.0, 4.1, 4.2), (8.0, 8.1, 8.2), False),
+        ((4.0,), (4.1,), True),
+        ((4.0,), (5.0,), False),
+    ],
+)
+def test_who_is_as_fast(quick: tuple[float, ...], other: tuple[float, ...], rival: bool, tmp_path: Path) -> None:
+    """Name the next where its runs do not show it to be slower."""
+    for name, times in (("quick", quick), ("other", other)):
+        for run, elapsed_s in enumerate(times):
+            write_recording(tmp_path, grid(2), simulator=name, run=run, elapsed_s=elapsed_s, proven=True)
+    terminal = io.StringIO()
+    print_document(brief(evaluate_files(sorted(tmp_path.glob("*.mcap")))), terminal)
+    said = " ".join(terminal.getvalue().split())
+    assert "Fastest valid simulator in inclined-collision on" in said and ": quick, " in said
+    assert ("; not shown to be slower: other, " in said) == rival
+
+
 def test_each_faster_group_has_its_own_reason(tmp_path: Path) -> None:
     """Tell of a simulator's two faster configurations, barred for two reasons; the first screen says who was faster."""
     write_recording(tmp_path, grid(2), simulator="honest", elapsed_s=4.0, proven=True)

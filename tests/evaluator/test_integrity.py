@@ -384,6 +384,18 @@ def test_what_was_not_looked_at_is_not_called_kept(tmp_path: Path) -> None:
     assert cut.files[0].held + len(cut.unchecked) + 2 == sum(rule.of.name == "file" for rule in INTEGRITY.rules)
 
 
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_what_to_do_about_a_chunk_that_cannot_be_decompressed(compression: str, tmp_path: Path) -> None:
+    """Say what to do, as for a chunk that fails its CRC."""
+    path = whole(tmp_path, compression=compression)
+    data = bytearray(path.read_bytes())
+    magic = {"zstd": b"\x28\xb5\x2f\xfd", "lz4": b"\x04\x22\x4d\x18"}[compression]
+    path.write_bytes(data.replace(magic, bytes(4)))
+    with pytest.raises(DamagedRecording, match="it cannot be decompressed") as found:
+        np.asarray(open_recording(path).state("cubes", "position"))
+    assert FailedCrc.advice in found.value.advised
+
+
 def test_the_streams_of_a_damaged_chunk_are_named(tmp_path: Path) -> None:
     """Say what the chunk is of whose CRC fails, and check the digests of all that lies elsewhere."""
     path = whole(tmp_path, compression="none")

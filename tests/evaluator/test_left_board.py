@@ -170,8 +170,15 @@ def test_no_board_no_clamping(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "shown"), [(0.0, "0"), (1 / 750, "0.001"), (0.2, "0.20"), (1.0, "1"), (26.975, "26.98")]
+    ("value", "unit", "shown"),
+    [
+        *((value, "bodies per env", shown) for value, shown in ((0.0, "0"), (1 / 750, "0.001"), (0.2, "0.20"))),
+        *((value, "bodies per env", shown) for value, shown in ((1.0, "1"), (26.975, "26.98"))),
+        *((value, "s", shown) for value, shown in ((0.0, "0"), (-0.5, "-0.5"), (3.2e-6, "3e-06"), (99.7, "100"))),
+        *((value, "MB", shown) for value, shown in ((0.0, "0.00"), (0.003, "0.003"), (-1.2, "-1.20"))),
+        *((value, "env-steps/s", shown) for value, shown in ((0.0, "0"), (0.3, "0.3"), (1234.6, "1,235"))),
+    ],
 )
-def test_no_count_is_rounded_to_nothing(value: float, shown: str) -> None:
-    """Round a mean count, and never to 0.00."""
-    assert figure(value, "bodies per env") == shown
+def test_no_value_is_rounded_to_nothing(value: float, unit: str, shown: str) -> None:
+    """Round a value by its unit, with its sign, and never to zero."""
+    assert figure(value, unit) == shown

@@ -6,8 +6,16 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from gpusimbench.evaluator.statistics.cases import interval_over_cases, least_shown, mean_interval
+from gpusimbench.evaluator.episodes.comparison import unpaired_interval
+from gpusimbench.evaluator.statistics.cases import (
+    interval_over_cases,
+    least_shown,
+    mean_interval,
+    paired,
+    standard_error,
+)
 from gpusimbench.evaluator.statistics.rates import interquartile_mean, mcnemar, rate_interval, rows_differ, wilson
 
 RNG = np.random.default_rng(0)
@@ -73,12 +81,41 @@ def test_interval_of_any_statistic() -> None:
     assert interval_over_cases(lambda drawn: drawn[:, 0].astype(float), 7) is None
 
 
+@pytest.mark.parametrize("n_env", [8, 16])
+def test_coverage_of_means(n_env: int) -> None:
+    """Hold the mean of few environments as often as is said: the percentiles of resampled sets do in 89 and 91 %."""
+    hits = []
+    for seed in range(600):
+        values = RNG.normal(size=(2, n_env))
+        of_one = mean_interval(values[0], seed=seed)
+        apart = unpaired_interval(values[0], values[1])
+        assert of_one is not None and apart is not None
+        hits.append([low <= 0 <= high for low, high in (of_one, apart)])
+    error = (0.95 * 0.05 / len(hits)) ** 0.5
+    assert np.mean(hits, axis=0) == pytest.approx([0.95, 0.95], abs=3 * error)
+
+
+def test_equal_values_have_no_error() -> None:
+    """Have a standard error of zero where values are equal, though their mean rounds."""
+    equal = np.full(12, 0.1)
+    assert equal.std() > 0 and standard_error(equal) == 0
+    assert paired(equal, np.zeros(12)).visible == 0
+
+
 def test_what_is_shown_with_a_power() -> None:
     """Be shown by a test at the 5 % level as often as is said."""
     error, power = 0.3, 0.8
     least = least_shown(error, power)
     drawn = RNG.normal(least, error, size=20_000)
     assert np.mean(np.abs(drawn) > 1.959963984540054 * error) == pytest.approx(power, abs=0.015)
+
+
+@pytest.mark.parametrize("cases", [4, 8, 64])
+def test_what_few_cases_show_with_a_power(cases: int) -> None:
+    """Be shown by a t-test as often as is said, of as many cases as its error is known from."""
+    least = least_shown(1 / cases**0.5, 0.8, cases - 1)
+    drawn = RNG.normal(least, size=(20_000, cases))
+    assert np.mean(stats.ttest_1samp(drawn, 0, axis=1).pvalue < 0.05) == pytest.approx(0.8, abs=0.025)
 
 
 def test_rows_that_differ() -> None:

@@ -158,6 +158,23 @@ def test_not_all_is_compared(tmp_path: Path, more: str, verdict: str | None, beg
     assert said.startswith(beginning)
 
 
+def test_what_was_not_compared_is_said(tmp_path: Path) -> None:
+    """Say of which states nothing is known where a run of equal ones has more of them, in a later recording."""
+    later = """
+record('a.mcap', 1)
+more = int(os.environ['GSB_RUN'][-1])
+with RecordingWriter(
+    'b.mcap', simulator='mine', version='1', scene='toy', n_env=2, dt=0.5, steps=1 + more,
+    fields=(array_field('observation', 'float64'),),
+) as log:
+    for _ in range(2 + more):
+        log.append(np.ones(2))
+"""
+    said, found = gsb_run(tmp_path, program(tmp_path, later), code=ExitCode.NOTHING_COMPARABLE)
+    assert said.startswith("The 2 runs are equal bit for bit as far as compared: a.mcap, b.mcap.")
+    assert "not compared: states of b after its step 1, up to 2" in said and found["all_compared"] is False
+
+
 def test_a_program_that_records_nothing(tmp_path: Path) -> None:
     """Say what a program has to call, so that there is something to compare."""
     said, _ = gsb_run(tmp_path, program(tmp_path, "print(1)"), code=ExitCode.NOTHING_COMPARABLE)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from gpusimbench.evaluator.metrics.tosses import (
@@ -439,4 +440,5 @@ def test_few_cases(count: int) -> None:
     assert found.p_value == pytest.approx(2.0 / 2**count)
     assert (found.ci95 is not None) is (count == 8)
     of_numbers = np.sqrt((count + 1) / 12.0)  # SD of 1, 2, ..., count over the root of their count
-    assert found.visible == (None if count == 1 else pytest.approx(3.6048 * of_numbers, rel=1e-4))
+    quantiles = stats.t.ppf(0.975, count - 1) + stats.t.ppf(0.95, count - 1)
+    assert found.visible == (None if count == 1 else pytest.approx(quantiles * of_numbers))

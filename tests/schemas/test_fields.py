@@ -12,7 +12,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.log import RecordingWriter
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import StateField, ball_fields, body_field, joint_field
 
 
@@ -63,3 +63,9 @@ def test_a_recording_keeps_the_units(tmp_path: Path) -> None:
     assert recording.fields == fields
     assert recording.fields[0].units == ("m", "rad")
     assert {field.frame for field in recording.fields} == {"joint"}
+
+
+def test_a_field_that_no_body_has() -> None:
+    """Name the fields that bodies have."""
+    with pytest.raises(UsageError, match="'quaternion' is no field of bodies; these are: position, orientation"):
+        body_field("cubes", "quaternion", "float64", ("a",))

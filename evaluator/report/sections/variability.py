@@ -85,10 +85,7 @@ def section(source: Source) -> Section | None:
     if not source.evaluation.reference and not source.evaluation.of_programs:
         blocks.append(Text(f"No distance to real trials: {source.evaluation.reference_note}."))
     claims = [identical(r.metrics[DISTINCT_RUNS.name]).holds for r in results]
-    compared = [holds for holds in claims if holds is not None]
-    said = f"{compared.count(True)} of {plural(len(compared), 'group')} with several runs repeat bit for bit"
-    if not compared:
-        said = "no group has several runs whose bits can be compared"
+    said = words.repeating(claims) if set(claims) - {None} else "no group has several runs whose bits can be compared"
     return Section("variability", "Variability", tuple(blocks), said, folded=True)
 
 
