@@ -1,19 +1,22 @@
 """The host's write path (hashes, digests, CRCs, file) against os.write and CRC-32 of the same bytes, in turn.
 
-usage: python -m benchmarks.write_path [--repeats 7] [--n-env 64] [--megabytes 1000] [--rows cubes|mjx] [--alone]
+usage: python -m benchmarks.write_path [--repeats 7] [--n-env 64] [--megabytes 1000] [--rows cubes|mjx]
+                                       [--by processes|threads|thread]
 
-Rows are states of 28 cubes, or what gpusimbench.wrap records of the MJX task of benchmarks/wrap_overhead.py. With
---alone one thread does all work, as wrap has it beside a device.
+Rows are states of 28 cubes, or what gpusimbench.wrap records of the MJX task of benchmarks/wrap_overhead.py. Without
+--by, work is done as a recorder has it done on this machine: by processes where it has four processors, otherwise by
+threads. One thread does it where gpusimbench.wrap records environments on a device, and there are fewer processors.
 
-From 2 GB on, state hashes are compiled, as in a capture of that size. Rates by the clock depend on what else the
-machine does; the CPU time for each byte, of all threads, depends on it less. With at least four processors, another
-process does most of the work: its CPU time counts, and the time until it has started.
+Where threads hash 2 GB or more, hashes are compiled, as in a capture of that size. Rates by the clock depend on what
+else the machine does; the CPU time for each byte, of all threads and processes, depends on it less. The time until
+processes have started counts.
 """
 
 from __future__ import annotations
 
 import os
 import resource
+import sys
 import tempfile
 import time
 import zlib
@@ -26,6 +29,7 @@ from numpy.typing import NDArray
 
 from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
+from gpusimbench.recorder.capture import work_process
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.capture.workers import alone
@@ -95,8 +99,10 @@ def main() -> None:
     p = parser(__doc__, repeats=7, n_env=64)
     p.add_argument("--megabytes", type=int, default=1000, help="of states, at least")
     p.add_argument("--rows", choices=("cubes", "mjx"), default="cubes")
-    p.add_argument("--alone", action="store_true", help="one thread does all work")
+    p.add_argument("--by", choices=("processes", "threads", "thread"), help="who does the work")
     a = p.parse_args()
+    if a.by:
+        work_process.LEAST_CPUS = 1 if a.by == "processes" else sys.maxsize
     fields = fields_of(a.rows)
     rng = np.random.default_rng(0)
     blocks: Blocks = [
@@ -118,7 +124,7 @@ def main() -> None:
         for _ in range(a.repeats):
             for what, run in work.items():
                 worked = cpu_seconds()
-                with alone() if a.alone else nullcontext():
+                with alone() if a.by == "thread" else nullcontext():
                     times[what].append(run())
                 work_of_cores[what].append((cpu_seconds() - worked) / size * 1e9)
                 for written in (path, partial):

@@ -30,7 +30,8 @@ ALGORITHM = "sum-splitmix64-v1"
 _WORD = {1: "<u1", 2: "<u2", 4: "<u4", 8: "<u8"}
 
 _MANY_CPUS = 4
-_WORDS = 1 << (17 if (os.cpu_count() or 1) >= _MANY_CPUS else 15)
+_FEWER_WORDS = 1 << 15
+_WORDS = 1 << 17 if (os.cpu_count() or 1) >= _MANY_CPUS else _FEWER_WORDS
 """At a time: few enough for a core's cache. Where many threads work, and share the interpreter, more of them, since
 each call may have to wait for it: 1 GB took six threads 1.6 s, and 2.2 s with a quarter of the words."""
 
@@ -66,10 +67,11 @@ def expect(size: int) -> None:
         _compile()
 
 
-def without_compiling() -> None:
-    """This process is never to load machine code."""
-    global _asked
-    _asked = True
+def in_one_thread() -> None:
+    """No other thread of this process works: hashes are by numpy, a few words at a time."""
+    global _asked, _WORDS
+    _asked = True  # loading machine code takes 2 s, in which this thread would wait
+    _WORDS = _FEWER_WORDS
 
 
 def _count(size: int) -> None:

@@ -111,7 +111,7 @@ class StateWriter:
         self._begun = False
         self._process: WorkProcess | None = None
         size = None if n_row is None else n_row * row
-        if not self.workers.alone and worthwhile(size):
+        if not small and worthwhile(size):
             with suppress(Exception):  # no memory, no process, a program that lets none start: threads do the same
                 self._process = WorkProcess(
                     self.fields, n_env=n_env, rows=self._rows, dt=dt, stride=stride, may_fail=may_fail

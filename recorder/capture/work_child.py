@@ -25,12 +25,11 @@ from gpusimbench.recorder.capture.state_work import (
     pieces_of,
     places_of,
 )  # fmt: skip
-from gpusimbench.recorder.capture.workers import sharers
 from gpusimbench.schemas.blocks import raw_bytes
 from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.fingerprint import without_compiling
+from gpusimbench.schemas.fingerprint import in_one_thread
 from gpusimbench.schemas.mcap.assembly import Assembly, Buffer, Part, Place, Records
 
 if TYPE_CHECKING:
@@ -38,8 +37,9 @@ if TYPE_CHECKING:
 
 READ, HELD = 0, 1  # numbers of memories
 _RECORD_BYTES = 1024  # of a message beside its array, at most: heads, indexes
-_PIECES = 4  # whose hashes each process makes, about
-_DIGEST_NS, _HASH_NS = 0.8, 0.5  # that a byte takes, about: so that all have equally much to do
+_MOST = 10  # processes that share the work
+_PIECES = 4  # whose hashes each of them makes, about
+_DIGEST_NS, _HASH_NS = 0.9, 0.7  # that a byte takes, about: so that all have equally much to do
 _LOOK_S = 2.0  # between two looks at whether the process that is worked for is still there
 _OWN = {
     signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP, signal.SIGSYS,
@@ -143,12 +143,14 @@ class _Sharing:
         from multiprocessing.connection import Pipe
 
         self._connections: list[Connection] = []
-        count = sharers()
+        self._processes: list[int] = []
+        count = max(2, min(_MOST, len(os.sched_getaffinity(0)) * 5 // 8))
         for number in range(count):
             ours, theirs = Pipe()
-            if os.fork():
+            if process := os.fork():
                 theirs.close()
                 self._connections.append(ours)
+                self._processes.append(process)
                 continue
             try:
                 for inherited in (*self._connections, ours, other):
@@ -162,6 +164,13 @@ class _Sharing:
         for connection in self._connections:
             with suppress(BrokenPipeError, ConnectionResetError):  # that one has ended is found when it is to answer
                 connection.send(order)
+
+    def end(self) -> None:
+        """End them, and wait until they have: their CPU time is that of this process then."""
+        for connection in self._connections:
+            connection.close()
+        for process in self._processes:
+            os.waitpid(process, 0)
 
     def receive(self) -> list[Any]:
         """What each of them has to say next."""
@@ -186,7 +195,7 @@ class _Share:
         widths = [row_bytes(task.n_env, [field]) for field in task.fields]
         self._fields = dealt([_DIGEST_NS * width for width in widths], self._loads)[number]
         self._hash_ns = _HASH_NS * sum(widths)
-        without_compiling()  # that takes 2 s, after which several processes are hardly sooner
+        in_one_thread()
 
     def work(self, connection: Connection) -> None:
         """Answer orders until the other end is closed: by heads and CRCs; then None once digested; then by what is not
@@ -245,36 +254,48 @@ def work(connection: Connection, memory: int) -> None:
     shared, ranges, digest = Shared(memory, task), Ranges(task.n_env), ContentDigest()
     sharing = _Sharing(task, shared, ranges, connection)
     connection.send("ready")
+    try:
+        for order in _orders(connection):
+            sharing.begin(order)
+            if order is None:
+                digests = digest.digests()
+                for some in sharing.receive():
+                    digests |= some
+                connection.send(digests)
+                continue
+            stored, read = shared.stored(order), shared.read(order, ranges)
+            if stored is not None:
+                connection.send(_written(stored, sharing.receive(), shared, task))
+                sharing.receive()
+                connection.send(None)
+            if read is not None:
+                hashes = shared.hashes[: read.states[0][0].shape[1]]
+                parts, not_finite = gathered(hashes, read.first_step, sharing.receive(), digest)
+                connection.send(([(bytes(head.data), array.crc) for head, array in parts], not_finite))
+    finally:
+        sharing.end()
+
+
+def _orders(connection: Connection) -> Iterator[Order | None]:
+    # until the process that is worked for is there no more: a copy of it may hold the connection open
     parent = os.getppid()
     while True:
         while not connection.poll(_LOOK_S):
-            if os.getppid() != parent:  # a copy of it may hold the connection open
+            if os.getppid() != parent:
                 return
-        order = connection.recv()
-        sharing.begin(order)
-        if order is None:
-            digests = digest.digests()
-            for some in sharing.receive():
-                digests |= some
-            connection.send(digests)
-            continue
-        stored, read = shared.stored(order), shared.read(order, ranges)
-        if stored is not None:
-            found = sharing.receive()
-            heads = [found[at % len(found)][at // len(found)] for at in range(sum(map(len, found)))]
-            if stored.place is None:
-                connection.send(heads)
-            else:
-                arrays = [array for states in stored.columns for array in states]
-                messages = ((Part(h), Part(raw_bytes(a), crc)) for (h, crc), a in zip(heads, arrays, strict=True))
-                records = assembled(stored.place, messages, EPOCH_NS + sim_time_ns(stored.first_step, task.dt))
-                connection.send((shared.put(records.pieces), records._replace(pieces=())))
-            sharing.receive()
-            connection.send(None)
-        if read is not None:
-            hashes = shared.hashes[: read.states[0][0].shape[1]]
-            parts, not_finite = gathered(hashes, read.first_step, sharing.receive(), digest)
-            connection.send(([(bytes(head.data), array.crc) for head, array in parts], not_finite))
+        yield connection.recv()
+
+
+def _written(stored: Stored, shares: Sequence[Sequence[tuple[bytes, int]]], shared: Shared, task: Task) -> Any:
+    """Heads and CRCs of the messages, of which each process made every so-manieth; or where their records are, and what
+    else there is of them."""
+    heads = [shares[at % len(shares)][at // len(shares)] for at in range(sum(map(len, shares)))]
+    if stored.place is None:
+        return heads
+    arrays = [array for states in stored.columns for array in states]
+    messages = ((Part(head), Part(raw_bytes(array), crc)) for (head, crc), array in zip(heads, arrays, strict=True))
+    records = assembled(stored.place, messages, EPOCH_NS + sim_time_ns(stored.first_step, task.dt))
+    return shared.put(records.pieces), records._replace(pieces=())
 
 
 def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Records:

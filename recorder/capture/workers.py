@@ -30,17 +30,12 @@ def share(yes: bool) -> None:
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """The calling thread shares no work within the block, neither with threads nor with a process."""
+    """The calling thread shares no work with other threads within the block."""
     share(False)
     try:
         yield
     finally:
         share(True)
-
-
-def sharers() -> int:
-    """Among how many threads or processes work is shared."""
-    return max(2, min(_MOST, len(os.sched_getaffinity(0)) // 2))
 
 
 class Workers:
@@ -62,7 +57,7 @@ class Workers:
         """Begin the work on all items; the results in order, each once it is there."""
         if self.alone:
             return [work(item) for item in items]
-        count = sharers()
+        count = max(2, min(_MOST, len(os.sched_getaffinity(0)) // 2))
         if self._threads is None:
             self._threads = ThreadPoolExecutor(count, thread_name_prefix="capture")
         size = -(-len(items) // (count * _SHARES)) or 1

@@ -133,7 +133,7 @@ def test_states_between_recorded_ones(tmp_path: Path) -> None:
     )  # fmt: skip
     found = predicate_of("states")([one], [another])
     assert found.evidence == (
-        "from step 20 on; equal up to step 10, no step in between is known; bodies up to 100 cm apart at 30 s, "
+        "from step 20 on; equal up to step 10, no step in between is known; bodies up to 1 m apart at 30 s, "
         "1 mm at 20 s"
     )
 

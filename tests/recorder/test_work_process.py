@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -174,9 +175,12 @@ def test_rows_of_a_device(tmp_path: Path, process: pytest.MonkeyPatch) -> None:
         assert len(array) == 438 and np.array_equal(array, contents[1][name]), name
 
 
-def test_none_while_a_device_steps(tmp_path: Path) -> None:
-    """Leave the rows of gpusimbench.wrap of environments on a device to the thread that writes them."""
+@pytest.mark.parametrize("cpus", [1, sys.maxsize])
+def test_while_a_device_steps(cpus: int, tmp_path: Path, process: pytest.MonkeyPatch) -> None:
+    """Rows of gpusimbench.wrap of environments on a device go to processes, or stay with the one thread that writes
+    them."""
     jax = pytest.importorskip("jax")
+    process.setattr(work_process, "LEAST_CPUS", cpus)
     about = About("a", "1", "b", "cpu", Mode.NEXT_STEP, False, {})
     row = {
         "observation": jax.numpy.ones((300, 5)),
@@ -187,7 +191,8 @@ def test_none_while_a_device_steps(tmp_path: Path) -> None:
     log = DeviceLog(JaxRows(), 60)
     log.begin(row, HostLog(tmp_path / "a.mcap", steps=60, dt=0.1, about=about))
     for _ in range(60):
-        assert not helpers()
+        assert bool(helpers()) == (cpus == 1)
+        assert not [thread for thread in threading.enumerate() if thread.name.startswith("capture")]
         log.make_room()
         log.keep(row)
     recording = open_recording(tmp_path / "a.mcap")

@@ -146,7 +146,7 @@ class DeviceLog:
         check_envs(row)
         self._rows.keep(row)
         try:
-            # as the thread that writes the other rows; beside another process MJX took longer
+            # as the thread that writes the other rows: another process does the work, or this thread alone
             with alone():
                 log.append(self._rows.take()(), {})
         except BaseException as error:
