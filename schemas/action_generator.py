@@ -39,8 +39,9 @@ MAX_RANGE = 1 << _WORD_BITS
 MAX_WIDTH = 256
 """Numbers that an environment is given in a step by a generator that is described in a file."""
 
-COMPILED_BYTES = 1_000_000_000
-"""Of actions, from which on machine code pays: numpy draws about as long as it takes to load numba."""
+COMPILED_BYTES = 500_000_000
+"""Of actions, from which on machine code pays: it is loaded before states are captured, and numpy draws 1 GB in as much
+time while they are."""
 
 _fill: Callable[..., None] | None = None
 

@@ -71,7 +71,7 @@ class Begun(NamedTuple):
     """Work that is under way.
 
     blocks     messages of each range and, within it, of each field; or, in one piece,
-    records    the records of all these messages
+    records    the records of all these messages, group by group
     digesting  one for each field; the arrays are needed until all have come
     hashed     once: the messages of all hashes, and what is not finite
     """

@@ -261,8 +261,11 @@ class StateWriter:
             self._view.rows(writing.first_row, writing.columns, self._ranges.starts.step)
 
     def _write_blocks(self, writing: _BegunRows) -> None:
+        written = 0
         for records in writing.begun.records:
-            self._sink.append(self._topics, records)
+            count = sum(records.counts.values())
+            self._sink.append(self._topics[written : written + count], records)
+            written += count
         if not writing.begun.records:
             self._sink.write_together(self._topics, writing.begun.blocks, sim_ns=writing.time)
         self._sink.flush()  # small ones wait for others, and their arrays are not theirs for much longer

@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import in_one_thread
-from gpusimbench.schemas.mcap.assembly import Assembly, Buffer, Part, Place, Records
+from gpusimbench.schemas.mcap.assembly import CHUNK_BYTES, Assembly, Buffer, Part, Place, Records
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 READ, HELD = 0, 1  # numbers of memories
 _RECORD_BYTES = 1024  # of a message beside its array, at most: heads, indexes
 _MOST = 10  # processes that share the work
+_GROUPS = 4  # of messages of a block
 _PIECES = 4  # whose hashes each of them makes, about
 _DIGEST_NS, _HASH_NS = 0.9, 0.7  # that a byte takes, about: so that all have equally much to do
 _LOOK_S = 2.0  # between two looks at whether the process that is worked for is still there
@@ -89,7 +91,7 @@ class Shared:
         self.memories = [BlockMemory(ranges, task.fields, task.rows, buffer, block * i) for i in (READ, HELD)]
         self.hashes = np.ndarray((task.rows, task.n_env), np.uint64, buffer=buffer, offset=2 * block)
         self._bytes = np.frombuffer(buffer, np.uint8)
-        self._other = 2 * block + hashes
+        self._other = self._end = 2 * block + hashes
 
     def stored(self, order: Order) -> Stored | None:
         """The rows that an order has written."""
@@ -107,9 +109,9 @@ class Shared:
         groups = ranges.groups()
         return Read(first, groups, [self.memories[READ].part(group, slice(rows)) for group in groups])
 
-    def put(self, pieces: Sequence[Buffer]) -> NDArray[np.int64]:
-        """Where pieces are, [piece, (offset, size)]: in this memory, or copied there, until the next ones are."""
-        begin, end = self._bytes.ctypes.data, self._other
+    def put(self, pieces: Sequence[Buffer], *, first: bool) -> NDArray[np.int64]:
+        """Where pieces are, [piece, (offset, size)]: in this memory, or copied there, until the next first ones are."""
+        begin, end = self._bytes.ctypes.data, self._other if first else self._end
         places: list[tuple[int, int]] = []
         for piece in pieces:
             array = np.frombuffer(piece, np.uint8)
@@ -123,6 +125,7 @@ class Shared:
             else:
                 places.append((end, array.size))
             end += array.size
+        self._end = end
         return np.array(places, np.int64).reshape(-1, 2)
 
     def get(self, places: NDArray[np.int64]) -> list[memoryview]:
@@ -215,9 +218,11 @@ class _Share:
         task = self._task
         stored, read = self._shared.stored(order), self._shared.read(order, self._ranges)
         if stored is not None:
-            places = places_of(stored, task.fields)[self._number :: self._count]
-            blocks = (block_of(stored, place, self._ranges, dt=task.dt, stride=task.stride) for place in places)
-            yield [(bytes(head.data), array.crc) for head, array in blocks]
+            places = places_of(stored, task.fields)
+            for group in groups_of(stored):
+                mine = places[group][self._number :: self._count]
+                blocks = (block_of(stored, place, self._ranges, dt=task.dt, stride=task.stride) for place in mine)
+                yield [(bytes(head.data), array.crc) for head, array in blocks]
             for index in self._fields:
                 digest_field(self._digest, task.fields, index, task.n_env, stored)
             yield None
@@ -227,8 +232,8 @@ class _Share:
             loads = [load * len(stored.columns[0][0]) if stored else 0.0 for load in self._loads]
             costs = [self._hash_ns * (piece.rows.stop - piece.rows.start) * len(read.groups[piece.group])
                      / len(self._ranges.starts) for piece in pieces]  # fmt: skip
-            mine = [pieces[index] for index in dealt(costs, loads)[self._number]]
-            found = [hash_piece(task.fields, self._ranges, task.may_fail, read, piece, hashes) for piece in mine]
+            to_hash = [pieces[index] for index in dealt(costs, loads)[self._number]]
+            found = [hash_piece(task.fields, self._ranges, task.may_fail, read, piece, hashes) for piece in to_hash]
             yield [place for some in found for place in some]
 
 
@@ -247,8 +252,8 @@ def work(connection: Connection, memory: int) -> None:
     """Answer orders until the other end of the connection is closed.
 
     The first message is the Task. An Order is answered by the heads and CRCs of its blocks, or by the records of their
-    messages; then by None once they are digested; then by head and CRC of the hashes' message, and what is not finite.
-    Anything else is answered by the digests.
+    messages, group by group; then by None once they are digested; then by head and CRC of the hashes' message, and what
+    is not finite. Anything else is answered by the digests.
     """
     task: Task = connection.recv()
     shared, ranges, digest = Shared(memory, task), Ranges(task.n_env), ContentDigest()
@@ -265,7 +270,8 @@ def work(connection: Connection, memory: int) -> None:
                 continue
             stored, read = shared.stored(order), shared.read(order, ranges)
             if stored is not None:
-                connection.send(_written(stored, sharing.receive(), shared, task))
+                for answer in _written(stored, sharing, shared, task):
+                    connection.send(answer)
                 sharing.receive()
                 connection.send(None)
             if read is not None:
@@ -286,16 +292,35 @@ def _orders(connection: Connection) -> Iterator[Order | None]:
         yield connection.recv()
 
 
-def _written(stored: Stored, shares: Sequence[Sequence[tuple[bytes, int]]], shared: Shared, task: Task) -> Any:
-    """Heads and CRCs of the messages, of which each process made every so-manieth; or where their records are, and what
-    else there is of them."""
-    heads = [shares[at % len(shares)][at // len(shares)] for at in range(sum(map(len, shares)))]
-    if stored.place is None:
-        return heads
-    arrays = [array for states in stored.columns for array in states]
-    messages = ((Part(head), Part(raw_bytes(array), crc)) for (head, crc), array in zip(heads, arrays, strict=True))
-    records = assembled(stored.place, messages, EPOCH_NS + sim_time_ns(stored.first_step, task.dt))
-    return shared.put(records.pieces), records._replace(pieces=())
+def groups_of(stored: Stored) -> list[slice]:
+    """Messages that are written together: while those of a group are written, those of the next are checked.
+
+    A group begins with a message that is a chunk of its own, so that chunks are as if there were no groups.
+    """
+    sizes = [array.nbytes for states in stored.columns for array in states]
+    begins = [0]
+    for least in range(len(sizes) // _GROUPS, len(sizes), -(-len(sizes) // _GROUPS)) if stored.place else ():
+        large = (at for at in range(max(least, begins[-1] + 1), len(sizes)) if sizes[at] >= CHUNK_BYTES)
+        begins += [next(large, len(sizes))]
+    return [slice(begin, end) for begin, end in pairwise((*begins, len(sizes))) if begin < end]
+
+
+def _written(stored: Stored, sharing: _Sharing, shared: Shared, task: Task) -> Iterator[Any]:
+    """Heads and CRCs of all messages; or for each group where their records are, and what else there is of them."""
+    place, arrays = stored.place, [array for states in stored.columns for array in states]
+    for group in groups_of(stored):
+        shares = sharing.receive()
+        heads = [shares[at % len(shares)][at // len(shares)] for at in range(sum(map(len, shares)))]
+        if place is None:
+            yield heads
+            continue
+        messages = [
+            (Part(head), Part(raw_bytes(array), crc)) for (head, crc), array in zip(heads, arrays[group], strict=True)
+        ]
+        here = place._replace(channels=place.channels[group], sequences=place.sequences[group])
+        records = assembled(here, messages, EPOCH_NS + sim_time_ns(stored.first_step, task.dt))
+        place = place._replace(offset=place.offset + records.size)
+        yield shared.put(records.pieces, first=not group.start), records._replace(pieces=())
 
 
 def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Records:

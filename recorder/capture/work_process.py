@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.recorder.capture.state_work import Begun, Hashed, Message, Read, Stored
-from gpusimbench.recorder.capture.work_child import Order, Shared, Task
+from gpusimbench.recorder.capture.work_child import Order, Shared, Task, groups_of
 from gpusimbench.recorder.interruption import blocked
 from gpusimbench.schemas.blocks import raw_bytes
 from gpusimbench.schemas.fields import StateField
@@ -118,7 +118,7 @@ class WorkProcess:
             self._blocks(stored) if stored and not stored.place else (),
             self._digesting() if stored else (),
             self._hashed(read) if read else (),
-            self._records() if stored and stored.place else (),
+            self._records(len(groups_of(stored))) if stored and stored.place else (),
         )
 
     def digests(self) -> dict[str, str]:
@@ -148,9 +148,10 @@ class WorkProcess:
         for (head, crc), array in zip(self._receive(), arrays, strict=True):
             yield Part(head), Part(raw_bytes(array), crc)
 
-    def _records(self) -> Iterator[Records]:
-        places, records = self._receive()
-        yield records._replace(pieces=self.shared.get(places))
+    def _records(self, groups: int) -> Iterator[Records]:
+        for _ in range(groups):
+            places, records = self._receive()
+            yield records._replace(pieces=self.shared.get(places))
 
     def _digesting(self) -> Iterator[None]:
         yield self._receive()
