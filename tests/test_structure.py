@@ -121,9 +121,10 @@ def names_of(module: str) -> set[str]:
     return inside
 
 
-@pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples", "recordings"])
+@pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples", "recordings", "tests"])
 def test_scripts_import_what_is_there(folder: str) -> None:
-    """Import from the package what it has, in programs that run by hand and that mypy does not read."""
+    """Import from the package what it has, in programs that run by hand and in tests of engines that are not installed:
+    mypy reads neither."""
     missing = [
         f"{path.relative_to(ROOT)}: {node.module}.{alias.name}"
         for path in (ROOT / folder).rglob("*.py")

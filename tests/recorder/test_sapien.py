@@ -22,7 +22,7 @@ from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Inertial, Mater
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.evidence import AWAKE_BODIES, CONTACTS
-from gpusimbench.recorder.simulators.sapien import gpu_library, released
+from gpusimbench.recorder.simulators.sapien import released, settings
 from gpusimbench.recorder.simulators.sapien.arm import principal_axes
 from gpusimbench.recorder.simulators.sapien.bodies import make_component
 from gpusimbench.recorder.simulators.sapien.complaints import OVERFLOW_BITS, Complaints, bits_of
@@ -290,7 +290,7 @@ def no_downloads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr("requests.get", refuse)
-    monkeypatch.setattr(gpu_library, "find_spec", lambda _: True)  # of torch, which SAPIEN needs on a GPU alone
+    monkeypatch.setattr(settings, "find_spec", lambda _: True)  # of torch, which SAPIEN needs on a GPU alone
     return tmp_path
 
 
@@ -310,16 +310,16 @@ def test_the_library_for_gpus_is_asked_for_and_not_fetched(no_downloads: Path) -
 
 def test_torch_is_asked_for_on_a_gpu(no_downloads: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without torch the error says what for it is needed."""
-    monkeypatch.setattr(gpu_library, "find_spec", lambda _: None)
+    monkeypatch.setattr(settings, "find_spec", lambda _: None)
     with pytest.raises(UsageError, match="through torch, which is not installed"):
-        gpu_library.enable_gpu()
+        settings.enable_gpu()
 
 
 def test_another_physx_has_no_published_library(no_downloads: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Say for which version there is a file, and of another one that it belongs to its own build."""
     monkeypatch.setattr("sapien.physx.version", lambda: "5.8.0")
     with pytest.raises(UsageError, match=r"has PhysX 5\.8\.0, for which its makers publish none") as refusal:
-        gpu_library.check_gpu()
+        settings.check_gpu()
     assert "releases/download" not in str(refusal.value)
 
 
@@ -375,9 +375,9 @@ def test_sizes_are_counted_before_the_gpu_is_on(no_downloads: Path, monkeypatch:
         order.append("enable")
         raise UsageError("no GPU here")
 
-    monkeypatch.setattr(gpu_library, "check_gpu", lambda: order.append("check"))
+    monkeypatch.setattr(settings, "check_gpu", lambda: order.append("check"))
     monkeypatch.setattr("gpusimbench.recorder.simulators.sapien.sizes.measure", counted)
-    monkeypatch.setattr(gpu_library, "enable_gpu", enabled)
+    monkeypatch.setattr(settings, "enable_gpu", enabled)
     simulator = made(make_scene("free-fall"), device="cuda")
     with pytest.raises(UsageError, match="no GPU here"):
         simulator.build()
@@ -391,14 +391,14 @@ def test_the_published_address_is_sapiens_own() -> None:
 
     from sapien import physx
 
-    assert gpu_library._PUBLISHED in inspect.getsource(physx.enable_gpu)
+    assert settings._PUBLISHED in inspect.getsource(physx.enable_gpu)
 
 
 def test_the_driver_is_needed_by_its_plain_name(no_downloads: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the library there and no libcuda.so, the error names that."""
     from sapien import physx
 
-    path = gpu_library.library_path(physx.version())
+    path = settings.library_path(physx.version())
     path.parent.mkdir(parents=True)
     path.touch()
 
@@ -407,7 +407,7 @@ def test_the_driver_is_needed_by_its_plain_name(no_downloads: Path, monkeypatch:
 
     monkeypatch.setattr("ctypes.CDLL", absent)
     with pytest.raises(UsageError, match=r"libcuda\.so"):
-        gpu_library.enable_gpu()
+        settings.enable_gpu()
 
 
 def test_buffers_are_sized_by_what_one_environment_needs() -> None:
