@@ -115,7 +115,7 @@ def total(rates: Mapping[int, Sequence[Rate]]) -> str:
                for column, found in rates.items() if column != 8 for rate in found)  # fmt: skip
     counted = sum(len(found) for column, found in rates.items() if column != 8)
     return (
-        f"All tables together: {_said(sums, 4)} pairs with a change were seen, and {_said(sums, 7)} verdicts broken; "
+        f"In total: {_said(sums, 4)} pairs with a change were seen, and {_said(sums, 7)} verdicts broken; "
         f"without a change {_said(sums, 5)} pairs differed. Bold: {bold} of {counted} rates, so far from the claim "
         f"that a rate of 95 % (5 % without a change) gives them with a probability below {100 * LIMIT:g} %."
     )

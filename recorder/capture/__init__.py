@@ -5,8 +5,8 @@ The capture phase (recorder.run.capture_phase) puts these together; a module use
     stepping      the loop: an engine makes blocks of steps, while a thread writes those before; the clock of both
     in_memory     blocks kept in the host's memory, and written after the last step (--capture memory)
     writing       the thread that writes blocks in order
-    states        writes states, and has their bytes worked on: state_work by threads of this process, or work_process
-                  by a process of its own, in which work_child runs
+    states        writes states; state_work hashes, digests and checks them, in threads of this process or in the
+                  processes that work_process starts, which run work_child
     ranges        how environments and steps are cut into messages, and the memory of a block
     actions, evidence, flight, view, array_hashes, samples
                   a writer for each other thing that a recording holds

@@ -1,4 +1,4 @@
-"""The process that works on the states of another one (see work_process): what runs in it."""
+"""What runs in the process that work_process starts: it hashes, digests and checks states of the recording process."""
 
 from __future__ import annotations
 
@@ -65,10 +65,10 @@ class Task(NamedTuple):
 
 
 class Order(NamedTuple):
-    """What is to be done next.
+    """The next work.
 
-    stored  memory, rows, first step and place of what is written; None: nothing is
-    read    rows and first step of what is hashed; None: nothing is
+    stored  memory, rows, first step and place of the rows to write; None: no row
+    read    rows and first step of the rows to hash; None: no row
     """
 
     stored: tuple[int, int, int, Place | None] | None
@@ -76,9 +76,9 @@ class Order(NamedTuple):
 
 
 class Shared:
-    """Memory of both processes: rows that were read, rows that are held, hashes [row, env], and other bytes.
+    """Memory that both processes share: rows that were read, rows that are held, hashes [row, env], and other bytes.
 
-    The system gives what is used of it.
+    The system allocates its pages on first use.
     """
 
     def __init__(self, descriptor: int, task: Task) -> None:
@@ -94,7 +94,7 @@ class Shared:
         self._other = self._end = 2 * block + hashes
 
     def stored(self, order: Order) -> Stored | None:
-        """The rows that an order has written."""
+        """The rows to write by an order."""
         if order.stored is None:
             return None
         which, rows, first, place = order.stored
@@ -102,7 +102,7 @@ class Shared:
         return Stored(first, columns_of(together), together, place=place)
 
     def read(self, order: Order, ranges: Ranges) -> Read | None:
-        """The rows that an order has hashed."""
+        """The rows to hash by an order."""
         if order.read is None:
             return None
         rows, first = order.read
@@ -110,7 +110,7 @@ class Shared:
         return Read(first, groups, [self.memories[READ].part(group, slice(rows)) for group in groups])
 
     def put(self, pieces: Sequence[Buffer], *, first: bool) -> NDArray[np.int64]:
-        """Where pieces are, [piece, (offset, size)]: in this memory, or copied there, until the next first ones are."""
+        """Offset and size of each piece in this memory, [piece, 2]; other pieces are copied here till the next first ones."""
         begin, end = self._bytes.ctypes.data, self._other if first else self._end
         places: list[tuple[int, int]] = []
         for piece in pieces:
@@ -129,20 +129,20 @@ class Shared:
         return np.array(places, np.int64).reshape(-1, 2)
 
     def get(self, places: NDArray[np.int64]) -> list[memoryview]:
-        """The pieces that another process has put."""
+        """The pieces that the other process put there."""
         view = self._bytes.data
         return [view[offset : offset + size] for offset, size in places.tolist()]
 
 
 class _Sharing:
-    """Copies of this process that share the work on a block, each in one thread: threads that hash by numpy make many
-    short calls, and wait for each other's turn with the interpreter.
+    """Copies of this process that share the work on a block, in one thread each. (Threads that hash by numpy make
+    many short calls, and would wait for the interpreter's lock.)
 
-    They end with this process, whose ends of their connections close.
+    They end with this process, which closes their connections.
     """
 
     def __init__(self, task: Task, shared: Shared, ranges: Ranges, other: Connection) -> None:
-        """other  connection of this process that is not theirs"""
+        """other  connection to the recording process, which the copies close"""
         from multiprocessing.connection import Pipe
 
         self._connections: list[Connection] = []
@@ -163,20 +163,20 @@ class _Sharing:
                 os._exit(0)
 
     def begin(self, order: Order | None) -> None:
-        """Have all of them begin."""
+        """Send the order to all copies."""
         for connection in self._connections:
             with suppress(BrokenPipeError, ConnectionResetError):  # that one has ended is found when it is to answer
                 connection.send(order)
 
     def end(self) -> None:
-        """End them, and wait until they have: their CPU time is that of this process then."""
+        """End the copies and wait for them, so that their CPU time is counted with that of this process."""
         for connection in self._connections:
             connection.close()
         for process in self._processes:
             os.waitpid(process, 0)
 
     def receive(self) -> list[Any]:
-        """What each of them has to say next."""
+        """The next answer of each copy."""
         found = []
         for connection in self._connections:
             try:
@@ -189,7 +189,7 @@ class _Sharing:
 
 
 class _Share:
-    """The work of one of `count` processes: the messages of every count-th place; some fields' digests; some hashes."""
+    """The work of copy `number` of `count`: every count-th message, digests of some fields, and some hashes."""
 
     def __init__(self, task: Task, shared: Shared, ranges: Ranges, number: int, count: int) -> None:
         self._task, self._shared, self._ranges, self._number, self._count = task, shared, ranges, number, count
@@ -201,8 +201,8 @@ class _Share:
         in_one_thread()
 
     def work(self, connection: Connection) -> None:
-        """Answer orders until the other end is closed: by heads and CRCs; then None once digested; then by what is not
-        finite, once there are hashes. None is answered by the digests."""
+        """Answer orders until the connection is closed: with heads and CRCs; then None, once digested; then, once
+        hashed, the places of values that are not finite. The order None is answered with the digests."""
         with suppress(EOFError, BrokenPipeError, ConnectionResetError):
             while True:
                 order = connection.recv()
@@ -238,8 +238,8 @@ class _Share:
 
 
 def dealt(costs: Sequence[float], loads: list[float]) -> list[list[int]]:
-    """Items dealt out, [holder, index]: the costly ones first, each to who has least to do; its cost is added to the
-    load."""
+    """Indices of the items of each holder, [holder, index]. Items go, the costliest first, to the holder with the least
+    load, to which the cost is added."""
     hands: list[list[int]] = [[] for _ in loads]
     for index in sorted(range(len(costs)), key=lambda index: -costs[index]):
         holder = min(range(len(loads)), key=loads.__getitem__)
@@ -251,9 +251,9 @@ def dealt(costs: Sequence[float], loads: list[float]) -> list[list[int]]:
 def work(connection: Connection, memory: int) -> None:
     """Answer orders until the other end of the connection is closed.
 
-    The first message is the Task. An Order is answered by the heads and CRCs of its blocks, or by the records of their
-    messages, group by group; then by None once they are digested; then by head and CRC of the hashes' message, and what
-    is not finite. Anything else is answered by the digests.
+    The first message is the Task. An Order is answered with the heads and CRCs of its blocks, or with the records of
+    their messages, group by group; then None, once digested; then head and CRC of the hashes' message, with the places
+    of values that are not finite. The order None is answered with the digests.
     """
     task: Task = connection.recv()
     shared, ranges, digest = Shared(memory, task), Ranges(task.n_env), ContentDigest()
@@ -306,7 +306,8 @@ def groups_of(stored: Stored) -> list[slice]:
 
 
 def _written(stored: Stored, sharing: _Sharing, shared: Shared, task: Task) -> Iterator[Any]:
-    """Heads and CRCs of all messages; or for each group where their records are, and what else there is of them."""
+    """Heads and CRCs of all messages, which the copies made in turn; or, group by group, the places of their records in
+    the memory, and the rest of the Records."""
     place, arrays = stored.place, [array for states in stored.columns for array in states]
     for group in groups_of(stored):
         shares = sharing.receive()
@@ -324,7 +325,7 @@ def _written(stored: Stored, sharing: _Sharing, shared: Shared, task: Task) -> I
 
 
 def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Records:
-    """The records of messages at their place."""
+    """The records of messages, for their place in the file."""
     assembly = Assembly(place.offset)
     for channel, sequence, parts in zip(place.channels, place.sequences, messages, strict=True):
         assembly.message(channel, parts, log_time=log_time, publish_time=place.publish_time, sequence=sequence)
@@ -332,7 +333,7 @@ def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Recor
 
 
 def main() -> None:
-    """Work on what the arguments say: descriptors of the connection and of the memory."""
+    """Run the process; its arguments are the file descriptors of the connection and of the memory."""
     from multiprocessing.connection import Connection  # not where the other process loads this module
 
     for number in signal.valid_signals() - _OWN:

@@ -41,7 +41,7 @@ _FIRST = 3  # descriptor that is none of the standard ones
 
 
 def worthwhile(size: int | None) -> bool:
-    """Whether a process is to work on so many bytes of states; None: it is not known how many there will be."""
+    """Whether states of `size` bytes are worth starting a process; None: their number is not known beforehand."""
     return (
         hasattr(os, "memfd_create")
         and len(os.sched_getaffinity(0)) >= LEAST_CPUS
@@ -52,9 +52,9 @@ def worthwhile(size: int | None) -> bool:
 
 
 class WorkProcess:
-    """A process that does the work on blocks; see state_work.Work. OSError where none can be started.
+    """A process that does the work on blocks (see state_work.Work). Raises OSError if it cannot be started.
 
-    Rows are put into `shared`, which is there once the process is ready.
+    Put rows into `shared` once `ready` has returned True.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class WorkProcess:
         stride: int,
         may_fail: frozenset[int],
     ) -> None:
-        """rows  that a block has at most"""
+        """rows  largest number of rows of a block"""
         from multiprocessing.connection import Pipe  # takes 15 ms to load, which whoever starts no process is spared
 
         task = Task(_plain(fields), n_env, rows, dt, stride, may_fail)
@@ -98,7 +98,7 @@ class WorkProcess:
             failing.pop_all()
 
     def ready(self) -> bool:
-        """Whether the process works; returns once it does, and ends it where it does not."""
+        """Wait until the process works, and return True; if it does not start, end it and return False."""
         with suppress(Exception):  # whatever keeps it from working, it has not begun
             if self._receive(_READY_S) == "ready":
                 return True
@@ -107,7 +107,7 @@ class WorkProcess:
         return False
 
     def begin(self, stored: Stored | None, read: Read | None) -> Begun:
-        """See Work; the arrays are those of `shared`."""
+        """As Work.begin; the arrays must lie in `shared`."""
         self._send(
             Order(
                 stored and (stored.memory, len(stored.columns[0][0]), stored.first_step, stored.place),
