@@ -110,7 +110,7 @@ class Shared:
         return Read(first, groups, [self.memories[READ].part(group, slice(rows)) for group in groups])
 
     def put(self, pieces: Sequence[Buffer], *, first: bool) -> NDArray[np.int64]:
-        """Offset and size of each piece in this memory, [piece, 2]; other pieces are copied here till the next first ones."""
+        """Offset and size of each piece in this memory, [piece, 2]; others are copied here till the next first ones."""
         begin, end = self._bytes.ctypes.data, self._other if first else self._end
         places: list[tuple[int, int]] = []
         for piece in pieces:
