@@ -68,10 +68,18 @@ def expect(size: int) -> None:
 
 
 def in_one_thread() -> None:
-    """No other thread of this process works: hashes are by numpy, a few words at a time."""
+    """No other thread of this process works: machine code is not loaded from now on, since that takes 2 s in which this
+    thread would wait, and hashes by numpy are of a few words at a time."""
     global _asked, _WORDS
-    _asked = True  # loading machine code takes 2 s, in which this thread would wait
+    _asked = True
     _WORDS = _FEWER_WORDS
+
+
+def load_compiled() -> None:
+    """Have the hashes compiled to machine code from now on, where numba is installed."""
+    global _asked
+    _asked = True
+    _compile()
 
 
 def _count(size: int) -> None:

@@ -114,7 +114,7 @@ class StateWriter:
         if not small and worthwhile(size):
             with suppress(Exception):  # no memory, no process, a program that lets none start: threads do the same
                 self._process = WorkProcess(
-                    self.fields, n_env=n_env, rows=self._rows, dt=dt, stride=stride, may_fail=may_fail
+                    self.fields, n_env=n_env, rows=self._rows, dt=dt, stride=stride, may_fail=may_fail, size=size
                 )
                 sink.at_end(self._process.close)
         if self._process is None and size is not None:
@@ -143,6 +143,20 @@ class StateWriter:
             found = found or problem
         return found
 
+    def begin(self) -> None:
+        """Return once processes that work on states, if any, are there; the first states wait for them otherwise."""
+        if self._begun:
+            return
+        # a process was begun with the writer, and takes a while until it works
+        process, self._process = self._process, None  # threads go on where something strikes meanwhile
+        if process is not None and process.ready():
+            self._process = process
+            self._sink.digest.add(self._process.digests)
+            self._memory = self._process.shared.memories[READ]
+        elif len(self._ranges.starts) > 1:
+            self._memory = BlockMemory(self._ranges, self.fields, self._rows)
+        self._begun = True
+
     def take(self, block: Captured, meanwhile: Callable[[], None] = lambda: None) -> str | None:
         """The same of a block that an engine made, of at most `steps_per_block` steps; its arrays are not needed when
         this returns.
@@ -152,8 +166,7 @@ class StateWriter:
         """
         first = self.last_step + 1
         keep = slice(-first % self._stride, None, self._stride)
-        if not self._begun:
-            self._begin()
+        self.begin()
         read = self._read_block(block, first)
         columns = columns_of(read.states)
         with shielded():  # hashes and rows stay in step, so that what was fed can be written after an interruption
@@ -176,17 +189,6 @@ class StateWriter:
             return None
         row, env, what = min(found, key=lambda place: place[:2])  # of those of one row, the first field
         return f"a state is not finite: step {first + row}, env {env}, {what}"
-
-    def _begin(self) -> None:
-        # a process was begun with the writer, and takes a while until it works
-        process, self._process = self._process, None  # threads go on where something strikes meanwhile
-        if process is not None and process.ready():
-            self._process = process
-            self._sink.digest.add(self._process.digests)
-            self._memory = self._process.shared.memories[READ]
-        elif len(self._ranges.starts) > 1:
-            self._memory = BlockMemory(self._ranges, self.fields, self._rows)
-        self._begun = True
 
     def _hold(self, kept: list[States], read: Read, keep: slice, *, whole: bool) -> list[States]:
         # rows in memory of their own, until the block is full

@@ -30,7 +30,7 @@ from gpusimbench.schemas.blocks import raw_bytes
 from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.fingerprint import in_one_thread
+from gpusimbench.schemas.fingerprint import in_one_thread, load_compiled
 from gpusimbench.schemas.mcap.assembly import CHUNK_BYTES, Assembly, Buffer, Part, Place, Records
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ _RECORD_BYTES = 1024  # of a message beside its array, at most: heads, indexes
 _MOST = 10  # processes that share the work
 _GROUPS = 4  # of messages of a block
 _PIECES = 4  # whose hashes each of them makes, about
+_COMPILED_BYTES = 1_000_000_000  # of states: loading machine code pays
 _DIGEST_NS, _HASH_NS = 0.9, 0.7  # that a byte takes, about: so that all have equally much to do
 _LOOK_S = 2.0  # between two looks at whether the process that is worked for is still there
 _OWN = {
@@ -54,6 +55,7 @@ class Task(NamedTuple):
     """What all blocks have in common.
 
     rows  that a block has room for
+    size  bytes of all states; 0: it is not known
     """
 
     fields: tuple[StateField, ...]
@@ -62,6 +64,7 @@ class Task(NamedTuple):
     dt: float
     stride: int
     may_fail: frozenset[int]
+    size: int
 
 
 class Order(NamedTuple):
@@ -257,6 +260,8 @@ def work(connection: Connection, memory: int) -> None:
     """
     task: Task = connection.recv()
     shared, ranges, digest = Shared(memory, task), Ranges(task.n_env), ContentDigest()
+    if task.size >= _COMPILED_BYTES:
+        load_compiled()  # 1 to 2 s, before there are copies; the program waits for it before it captures
     sharing = _Sharing(task, shared, ranges, connection)
     connection.send("ready")
     try:

@@ -66,11 +66,14 @@ class WorkProcess:
         dt: float,
         stride: int,
         may_fail: frozenset[int],
+        size: int | None,
     ) -> None:
-        """rows  largest number of rows of a block"""
+        """rows  that a block has at most
+        size  bytes of all states; None: it is not known
+        """
         from multiprocessing.connection import Pipe  # takes 15 ms to load, which whoever starts no process is spared
 
-        task = Task(_plain(fields), n_env, rows, dt, stride, may_fail)
+        task = Task(_plain(fields), n_env, rows, dt, stride, may_fail, size or 0)
         self._owner = os.getpid()
         self._digests: dict[str, str] | None = None
         with ExitStack() as here, ExitStack() as failing:

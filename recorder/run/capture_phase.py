@@ -134,6 +134,7 @@ class CapturePhase:
             self._progress("capture", done, c.steps)
 
         simulator.reserve(min(c.captured_steps, writer.steps_per_block))
+        writer.begin()
         # until it has finished, the sink is its thread's
         writing = Writing(kept.keep if kept else blocks.write)
         clock = CaptureClock()

@@ -78,6 +78,7 @@ class Case(NamedTuple):
     compression: str = "none"
     block_bytes: int = 128 << 20
     beside: bool = False
+    n_row: int | None = None  # how many are said to follow
 
 
 CASES = {
@@ -93,6 +94,7 @@ CASES = {
     "compressed": Case(150, (1, 50, 9), compression="lz4"),
     "beside small messages": Case(150, (1, 50, 50, 20, 50), beside=True),
     "large ones beside small messages": Case(150, (1, 50, 50, 20, 50), dtype="float64", beside=True),
+    "hashes by machine code": Case(150, (1, 50, 9), n_row=10**9),
     "few rows a block": Case(3000, (1, 9, 30), block_bytes=1 << 20),
 }
 
@@ -105,8 +107,9 @@ def made(path: Path, case: Case) -> tuple[bytes, dict[str, str], list[str | None
         arrays[1][(*case.not_finite, 1, 2)] = np.nan
     file = Sink(path, compression=case.compression)
     writer = StateWriter(
-        file, fields, n_env=case.n_env, dt=0.1, stride=case.stride, first_step=case.first_step, may_fail=case.may_fail
-    )
+        file, fields, n_env=case.n_env, dt=0.1, stride=case.stride, first_step=case.first_step, may_fail=case.may_fail,
+        n_row=case.n_row,
+    )  # fmt: skip
     found, row, worked = [], 0, bool(helpers())
     file.channel("/beside", "gsb.v1.Event")
     for count in case.counts:
@@ -126,12 +129,24 @@ def test_the_bytes_are_those_of_threads(case: Case, tmp_path: Path, process: pyt
     """Write the same file, whoever works on the states."""
     process.setattr(sink, "calendar_ns", lambda: 7)
     process.setattr(ranges, "_RING_BYTES", case.block_bytes)
+    process.setattr(states, "expect", lambda _: None)  # that this process loads machine code is not the question
     one = made(tmp_path / "process.mcap", case)
     process.setattr(work_process, "LEAST_CPUS", sys.maxsize)
     other = made(tmp_path / "threads.mcap", case)
     assert one[:3] == other[:3]
     assert (one[3], other[3]) == (True, False)
     assert any(one[2]) == (case.not_finite is not None and not case.may_fail)
+
+
+@pytest.mark.parametrize("n_row", [1000, 10**9])
+def test_machine_code_hashes_many_states(n_row: int, tmp_path: Path) -> None:
+    """Load machine code before there are states where a recording is large, and not where it is small."""
+    pytest.importorskip("numba")
+    file = Sink(tmp_path / "a.mcap", compression="none")
+    StateWriter(file, FIELDS, n_env=150, dt=0.1, stride=1, n_row=n_row).begin()
+    loaded = [part.path for part in helper().memory_maps() if "llvmlite" in part.path]
+    assert bool(loaded) == (n_row > 1000)
+    file.abandon()
 
 
 def writer(path: Path, **others: Any) -> RecordingWriter:
