@@ -56,6 +56,7 @@ from gpusimbench.schemas.provenance import (
     Provenance,
     Simulation,
 )
+from gpusimbench.schemas.text import stored_text
 
 
 def closed(sink: Sink, provenance: Provenance, last_step: int) -> RunConfiguration:
@@ -180,7 +181,7 @@ class RecordingWriter:
             self._provenance = Provenance(
                 run_id=str(uuid.uuid4()),
                 created_utc=utc_now(),
-                argv=tuple(sys.argv),
+                argv=tuple(stored_text(text) for text in sys.argv),
                 configuration=c,
                 host=describe_host(),
                 gpus=gpus.describe(),

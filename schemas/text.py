@@ -55,6 +55,11 @@ def printable(text: str) -> str:
     return text if _plain(text) else "".join(c if c == "\n" else _in_line(c) for c in text)
 
 
+def stored_text(text: str) -> str:
+    """Text as UTF-8 can have it: bytes of a path in another encoding are written as escapes."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def cut(text: str, most: int) -> str:
     """Text of at most so many characters: the end of a longer text is replaced by "..."."""
     return text if len(text) <= most else f"{text[: most - 3]}..."

@@ -13,6 +13,7 @@ from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fingerprint import ALGORITHM, array_fingerprint
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.mixing import GOLDEN
+from gpusimbench.schemas.text import stored_text
 from gpusimbench.schemas.trees import leaves
 
 _LEAST, _MOST = -(1 << 63), (1 << 64) - 1  # integers that arrays hold; generators of numpy have states of 128 bits
@@ -112,7 +113,7 @@ def _one(value: Any, name: str) -> tuple[str, int]:
 
 
 def _described(dtype: str, shape: Any, name: str) -> str:
-    text = name.encode(errors="backslashreplace").decode()  # a key may have what UTF-8 does not
+    text = stored_text(name)
     return f"{dtype} {'x'.join(map(str, shape)) or '-'} {text}"
 
 

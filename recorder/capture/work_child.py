@@ -152,8 +152,13 @@ class _Sharing:
         self._processes: list[int] = []
         count = max(2, min(_MOST, len(os.sched_getaffinity(0)) * 5 // 8))
         for number in range(count):
-            ours, theirs = Pipe()
-            if process := os.fork():
+            try:
+                ours, theirs = Pipe()
+                process = os.fork()
+            except OSError:  # a limit of processes, or of descriptors: those that there are have ended when it is told
+                self.end()
+                raise
+            if process:
                 theirs.close()
                 self._connections.append(ours)
                 self._processes.append(process)
@@ -176,7 +181,8 @@ class _Sharing:
         for connection in self._connections:
             connection.close()
         for process in self._processes:
-            os.waitpid(process, 0)
+            with suppress(ChildProcessError):  # the program ignores SIGCHLD, as this process then does
+                os.waitpid(process, 0)
 
     def receive(self) -> list[Any]:
         """The next answer of each copy."""

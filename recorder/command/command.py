@@ -17,7 +17,7 @@ from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.provenance import REAL
-from gpusimbench.schemas.text import block
+from gpusimbench.schemas.text import block, stored_text
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN, FromFile
 
 if TYPE_CHECKING:
@@ -349,8 +349,7 @@ def run(given: list[str]) -> int:
         from gpusimbench.recorder.sets.progress import say
     if wrong := clock.problem():
         say(wrong)
-    # Text that is no Unicode (a path in another encoding) cannot be stored as it is.
-    command = ("gsb-record", *(text.encode("utf-8", "backslashreplace").decode() for text in given))
+    command = ("gsb-record", *(stored_text(text) for text in given))
     if arguments.replay is not None:
         return replay(arguments, command)
     if arguments.sim == REAL:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,17 @@ def test_a_program_logs_its_states(tmp_path: Path) -> None:
     assert recording.provenance.argv
     assert b"numpy==" in (recording.attachment("pip-freeze.txt") or b"")
     assert recording.scene == {}
+
+
+def test_an_argument_that_is_no_unicode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Record in a program that was given a path in another encoding, and write the bytes of it as escapes."""
+    monkeypatch.setattr(sys, "argv", ["train.py", os.fsdecode(b"caf\xe9.npz")])
+    path = tmp_path / "a.mcap"
+    with writer(path) as log:
+        log.append(*states())
+    recording = open_recording(path)
+    verify(recording)
+    assert recording.provenance.argv == ("train.py", "caf\\udce9.npz")
 
 
 def test_all_at_once_is_the_same(tmp_path: Path) -> None:

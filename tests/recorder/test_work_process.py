@@ -22,7 +22,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.recorder.capture import ranges, sink, states, work_process
+from gpusimbench.recorder.capture import ranges, sink, states, work_child, work_process
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.log import RecordingWriter
@@ -451,6 +451,27 @@ def test_no_process_can_be_started(tmp_path: Path, process: pytest.MonkeyPatch) 
             assert not helpers()
         assert whole(tmp_path / f"{what}.mcap", 60)
         assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_one_of_several_processes_cannot_be_started(process: pytest.MonkeyPatch) -> None:
+    """Leave none of those that were, as where a limit of processes is reached: threads then start in their place."""
+    fork, answers = os.fork, [True, False]
+
+    def forked() -> int:
+        if not answers.pop(0):
+            raise BlockingIOError
+        return fork()
+
+    process.setattr(os, "fork", forked)
+    task = work_child.Task(FIELDS, 100, 50, 0.1, 1, frozenset())
+    memory = os.memfd_create("states")
+    ours, theirs = connection.Pipe()
+    before = psutil.Process().children()
+    with ours, theirs, pytest.raises(BlockingIOError):
+        work_child._Sharing(task, work_child.Shared(memory, task), ranges.Ranges(100), theirs)
+    os.close(memory)
+    assert not answers
+    assert psutil.Process().children() == before
 
 
 def test_what_is_loaded_without_a_process() -> None:
