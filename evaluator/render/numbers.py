@@ -62,7 +62,9 @@ def ulps(count: int | None, *, signs_differ: bool = False) -> str:
 
 
 def seconds(value: float) -> str:
-    """A time, or a difference of times, in as many digits as matter."""
+    """A time [s], or a difference of times, in as many digits as matter; less than a nanosecond is rounding."""
+    if abs(value) < 1e-9:
+        return "0"
     if abs(value) >= 99.5:
         return f"{value:.0f}"
     return f"{value:.2g}" if abs(value) >= 0.01 else f"{value:.1g}"
