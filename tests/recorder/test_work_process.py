@@ -463,7 +463,7 @@ def test_one_of_several_processes_cannot_be_started(process: pytest.MonkeyPatch)
         return fork()
 
     process.setattr(os, "fork", forked)
-    task = work_child.Task(FIELDS, 100, 50, 0.1, 1, frozenset())
+    task = work_child.Task(FIELDS, 100, 50, 0.1, 1, frozenset(), 0)
     memory = os.memfd_create("states")
     ours, theirs = connection.Pipe()
     before = psutil.Process().children()
