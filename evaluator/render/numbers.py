@@ -61,10 +61,15 @@ def ulps(count: int | None, *, signs_differ: bool = False) -> str:
     return f"{count:,}" if count < 10**7 else f"{count:.2e}"
 
 
+_LEAST_S = 0.001
+
+
 def seconds(value: float) -> str:
     """A time [s], or a difference of times, in as many digits as matter; less than a nanosecond is rounding."""
     if abs(value) < 1e-9:
         return "0"
+    if abs(value) < _LEAST_S:
+        return f"< {_LEAST_S}" if value > 0 else f"> -{_LEAST_S}"
     if abs(value) >= 99.5:
         return f"{value:.0f}"
     return f"{value:.2g}" if abs(value) >= 0.01 else f"{value:.1g}"
