@@ -18,6 +18,7 @@ from gpusimbench.evaluator.statistics.cases import (
     in_proportion,
     paired,
     resampled,
+    standard_error,
 )
 from gpusimbench.evaluator.statistics.families import holm
 from gpusimbench.evaluator.statistics.rates import mcnemar
@@ -215,7 +216,7 @@ def unpaired_interval(one: NDArray[np.float64], other: NDArray[np.float64]) -> t
     sizes = np.array([len(one), len(other)])
     if sizes.min() < FEWEST:
         return None
-    squares = np.array([float((side - side[0]).var(ddof=1)) for side in (one, other)]) / sizes
+    squares = np.array([standard_error(side) for side in (one, other)], dtype=np.float64) ** 2
     total = float(squares.sum())
     if not total:
         return None

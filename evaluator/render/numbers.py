@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import EMPTY, Cell, Tone
 from gpusimbench.evaluator.render.document import NONE as NONE
@@ -59,6 +61,11 @@ def ulps(count: int | None, *, signs_differ: bool = False) -> str:
     if signs_differ:
         return "signs differ"
     return f"{count:,}" if count < 10**7 else f"{count:.2e}"
+
+
+def unit_of(value: float, units: Mapping[str, float]) -> tuple[str, float] | None:
+    """The first of the units, by size, in which the value is 1 or more in three digits, and its size; or None."""
+    return next(((unit, size) for unit, size in units.items() if abs(value) >= 0.9995 * size), None)
 
 
 _LEAST_S = 0.001

@@ -217,8 +217,8 @@ def _fastest(found: Fastest, results: Sequence[GroupResult]) -> str:
     where = f"{found.scene} on {found.device or 'an unnamed device'}"
     said = f"Fastest valid simulator in {where}: "
     said += f"{found.first.result.label}, {found.first.said}" if found.first else "none"
-    if found.rival:
-        said += f"; not shown to be slower: {found.rival.result.label}, {found.rival.said}"
+    if rival := found.rival:
+        said += f"; not shown to be slower: {rival.result.label}, {rival.said}"
     passed = [f"{few([r.label for r in those], _PASSED)} ({why})" for why, those in not_ranked(found, results).items()]
     faster = "faster, but not ranked" if found.first else "not ranked"
     return said + (f"; {faster}: {'; '.join(passed)}" if passed else "")

@@ -10,7 +10,7 @@ from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.metrics.memory import MemoryModel
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.read.described import Described
-from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd
+from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd, unit_of
 from gpusimbench.evaluator.results.details import (
     BetweenRuns,
     CaptureOverhead,
@@ -94,10 +94,10 @@ def capturing(metric: Estimate) -> str:
 
 def size(value: float, digits: str = ".3g") -> str:
     """An amount of memory [bytes] in a fitting decimal unit."""
-    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if abs(value) >= 0.9995 * scale:  # which rounds up to 1
-            return f"{format(value / scale, digits).rstrip('.')} {unit}"
-    return f"{value:.0f} B"
+    if (found := unit_of(value, {"GB": 1e9, "MB": 1e6, "kB": 1e3})) is None:
+        return f"{value:.0f} B"
+    unit, scale = found
+    return f"{format(value / scale, digits).rstrip('.')} {unit}"
 
 
 def amount(metric: Estimate) -> str:
@@ -144,10 +144,8 @@ def all_alike(metric: Estimate) -> str:
 
 
 def _length(metres: float) -> str:
-    for unit, size in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6)):
-        if metres >= 0.9995 * size:
-            return f"{metres / size:.3g} {unit}"
-    return f"{metres * 1e9:.3g} nm"
+    unit, size = unit_of(metres, {"m": 1.0, "mm": 1e-3, "um": 1e-6}) or ("nm", 1e-9)
+    return f"{metres / size:.3g} {unit}"
 
 
 def doubling(metric: Estimate) -> str:

@@ -66,6 +66,11 @@ class Stored(NamedTuple):
     place: Place | None = None
     whole: Arrays = ()
 
+    @property
+    def arrays(self) -> list[NDArray[np.floating]]:
+        """Those of all messages, in the order of the file."""
+        return [array for states in self.columns for array in states]
+
 
 class Begun(NamedTuple):
     """Work that is under way.

@@ -221,7 +221,7 @@ class _Share:
                 except (BrokenPipeError, ConnectionResetError):
                     raise
                 except Exception as error:
-                    connection.send(error if isinstance(error, MemoryError) else RuntimeError(f"{error}"))
+                    connection.send(_told(error))
 
     def _answers(self, order: Order) -> Iterator[Any]:
         task = self._task
@@ -308,7 +308,7 @@ def groups_of(stored: Stored) -> list[slice]:
 
     A group begins with a message that is a chunk of its own, so that chunks are as if there were no groups.
     """
-    sizes = [array.nbytes for states in stored.columns for array in states]
+    sizes = [array.nbytes for array in stored.arrays]
     begins = [0]
     for least in range(len(sizes) // _GROUPS, len(sizes), -(-len(sizes) // _GROUPS)) if stored.place else ():
         large = (at for at in range(max(least, begins[-1] + 1), len(sizes)) if sizes[at] >= CHUNK_BYTES)
@@ -319,20 +319,23 @@ def groups_of(stored: Stored) -> list[slice]:
 def _written(stored: Stored, sharing: _Sharing, shared: Shared, task: Task) -> Iterator[Any]:
     """Heads and CRCs of all messages, which the copies made in turn; or, group by group, the places of their records in
     the memory, and the rest of the Records."""
-    place, arrays = stored.place, [array for states in stored.columns for array in states]
+    place, arrays = stored.place, stored.arrays
     for group in groups_of(stored):
         shares = sharing.receive()
         heads = [shares[at % len(shares)][at // len(shares)] for at in range(sum(map(len, shares)))]
         if place is None:
             yield heads
             continue
-        messages = [
-            (Part(head), Part(raw_bytes(array), crc)) for (head, crc), array in zip(heads, arrays[group], strict=True)
-        ]
         here = place._replace(channels=place.channels[group], sequences=place.sequences[group])
-        records = assembled(here, messages, EPOCH_NS + sim_time_ns(stored.first_step, task.dt))
+        records = assembled(here, messages_of(heads, arrays[group]), EPOCH_NS + sim_time_ns(stored.first_step, task.dt))
         place = place._replace(offset=place.offset + records.size)
         yield shared.put(records.pieces, first=not group.start), records._replace(pieces=())
+
+
+def messages_of(heads: Sequence[tuple[bytes, int]], arrays: Sequence[NDArray[np.floating]]) -> Iterator[Message]:
+    """The messages of arrays, from what is ahead of each, and its CRC."""
+    for (head, crc), array in zip(heads, arrays, strict=True):
+        yield Part(head), Part(raw_bytes(array), crc)
 
 
 def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Records:
@@ -341,6 +344,11 @@ def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Recor
     for channel, sequence, parts in zip(place.channels, place.sequences, messages, strict=True):
         assembly.message(channel, parts, log_time=log_time, publish_time=place.publish_time, sequence=sequence)
     return assembly.records()
+
+
+def _told(error: Exception) -> Exception:
+    # as the other process is sure to know it
+    return error if isinstance(error, MemoryError) else RuntimeError(f"{error}")
 
 
 def main() -> None:
@@ -357,5 +365,5 @@ def main() -> None:
         except (EOFError, BrokenPipeError, ConnectionResetError):
             raise
         except Exception as error:
-            connection.send(error if isinstance(error, MemoryError) else RuntimeError(f"{error}"))
+            connection.send(_told(error))
     os._exit(0)  # at once: the other process waits, and nothing here is to be put in order

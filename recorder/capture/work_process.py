@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.recorder.capture.state_work import Begun, Hashed, Message, Read, Stored
-from gpusimbench.recorder.capture.work_child import Order, Shared, Task, groups_of
+from gpusimbench.recorder.capture.work_child import Order, Shared, Task, groups_of, messages_of
 from gpusimbench.recorder.interruption import blocked
 from gpusimbench.schemas.blocks import raw_bytes
 from gpusimbench.schemas.fields import StateField
@@ -147,9 +147,7 @@ class WorkProcess:
             self._child.wait()
 
     def _blocks(self, stored: Stored) -> Iterator[Message]:
-        arrays = [array for states in stored.columns for array in states]
-        for (head, crc), array in zip(self._receive(), arrays, strict=True):
-            yield Part(head), Part(raw_bytes(array), crc)
+        yield from messages_of(self._receive(), stored.arrays)
 
     def _records(self, groups: int) -> Iterator[Records]:
         for _ in range(groups):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gpusimbench.recorder.command.parser import RecordParser
 from gpusimbench.schemas.commands.command_line import add_common
-from gpusimbench.schemas.configuration import CAPTURE_MODES
+from gpusimbench.schemas.configuration import CAPTURE_MODES, USUAL_PHASES
 from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.treatment import KINDS
 
@@ -163,7 +163,7 @@ def parser() -> RecordParser:
         "--runs",
         type=int,
         metavar="R",
-        help="independent runs (default: 10; of --replay: 1)",
+        help="independent runs (default: {simulated}; of --replay: {replayed})",
         simulated=10,
         replayed=1,
     )
@@ -172,7 +172,7 @@ def parser() -> RecordParser:
         "--seed",
         type=int,
         metavar="N",
-        help="seed of random numbers, the same in every run (default: 0)",
+        help="seed of random numbers, the same in every run (default: {simulated})",
         simulated=0,
     )
     take(
@@ -263,8 +263,8 @@ def parser() -> RecordParser:
         "--phases",
         metavar="LIST",
         help="any of timed (throughput), capture (states) and import (what the engine made of a model file, which "
-        "gsb-import uses) (default: timed,capture; --replay: as recorded)",
-        simulated="timed,capture",
+        "gsb-import uses) (default: {simulated}; --replay: as recorded)",
+        simulated=",".join(USUAL_PHASES),
         replayed=None,
     )
     take(
@@ -274,7 +274,7 @@ def parser() -> RecordParser:
         help="number of captured steps (default: 5 s of simulated time)",
         simulated=None,
     )
-    take("--stride", type=int, metavar="K", help="record every K-th state (default: 1)", simulated=1)
+    take("--stride", type=int, metavar="K", help="record every K-th state (default: {simulated})", simulated=1)
     take(
         "--snapshot",
         metavar="STEP[,STEP...]",
@@ -286,8 +286,8 @@ def parser() -> RecordParser:
         "--capture",
         choices=CAPTURE_MODES,
         help="lossless: write while stepping, and wait if the disk is slower; memory: write after the last step "
-        "(default: lossless)",
-        simulated="lossless",
+        "(default: {simulated})",
+        simulated=CAPTURE_MODES[0],
     )
     take(
         "--keep",

@@ -34,7 +34,9 @@ class RecordParser(Parser):
         **keywords: Any,
     ) -> None:
         """Add an argument, with what it is where it is not given; a kind of recording without such a value refuses the
-        argument."""
+        argument. {simulated}, {measured} and {replayed} in the help stand for these values."""
+        for kind, value in (("simulated", simulated), ("measured", measured), ("replayed", replayed)):
+            keywords["help"] = keywords["help"].replace(f"{{{kind}}}", f"{value}")
         action = group.add_argument(*names, **keywords)
         for kind, value in (("simulated", simulated), ("measured", measured), ("replayed", replayed)):
             if value is not _NOT_TAKEN:
