@@ -138,6 +138,7 @@ def main() -> None:
                 if done.returncode:
                     sys.exit(f"{mode}: the run did not complete")
                 costs.append(cost_of(path))
+                print(f"{mode}, round {len(costs)}: capture / timed {costs[-1].ratio:.3f}", file=sys.stderr)
                 disks[mode].append(disk_of(path, costs[-1].timed))
                 device = open_recording(path).simulation
                 if a.out is None:

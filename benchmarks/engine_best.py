@@ -127,13 +127,17 @@ def main() -> None:
                 contacts.append(float(counted.mean[-1]))
             found = tool(a.sim, folder, recording, a.steps)
             tools += [] if found is None else [found]
+            print(
+                f"round {len(ours)}: recorder {ours[-1]:.0f}, bare loop {loops[-1].env_steps_per_s:.0f}",
+                file=sys.stderr,
+            )
     print(f"machine                        {machine()}, device {device}")
     engine = " ".join([a.sim, *a.option])
     print(f"rounds                         {a.rounds}, {engine}, {a.scene}, {a.n_env} envs, {a.steps} steps")
     print(f"recorder, timed [env-steps/s]  {spread(ours, 0)}")
-    rates = [loop.env_steps_per_s for loop in loops]
-    print(f"bare loop, same work           {spread(rates, 0)}")
-    ratios = [x / y for x, y in zip(ours, rates, strict=True)]
+    bare_loops = [loop.env_steps_per_s for loop in loops]
+    print(f"bare loop, same work           {spread(bare_loops, 0)}")
+    ratios = [x / y for x, y in zip(ours, bare_loops, strict=True)]
     print(f"ratio recorder / bare          {spread(ratios)}   claim: at least 0.98")
     print(f"same final states, of {a.n_env:5}    {spread([float(loop.same_states) for loop in loops], 0)}")
     again = [loop.contacts for loop in loops if loop.contacts is not None]

@@ -114,7 +114,7 @@ def parse(text: str, n_env: int) -> str:
             raise ValueError(text)
     except ValueError:
         raise UsageError(
-            f"--initial is random:SPREAD, with a spread from {GRID:.2g} to {MOST_SPREAD:g} (of velocities in m/s, of "
+            f"--initial is random:SPREAD, with a spread from {GRID!r} to {MOST_SPREAD:g} (of velocities in m/s, of "
             "joint angles in rad), and may end with ,shift:K or with ,but:E, an environment, "
             f"not '{text}'"
         ) from None

@@ -78,7 +78,7 @@ def parse(text: str, n_env: int) -> str:
     except ValueError:
         raise UsageError(
             f"--vary takes {', '.join(f'{name}:SPREAD' for name in QUANTITIES)}, separated by commas, each at most "
-            f"once, with spreads from {GRID:.2g} to {VARIED_SPREAD:g}, and may end with ,shift:K or with ,but:E, an "
+            f"once, with spreads from {GRID!r} to {VARIED_SPREAD:g}, and may end with ,shift:K or with ,but:E, an "
             f"environment, not '{text}'"
         ) from None
     return str(how)
