@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, comparable, identical
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate
 from gpusimbench.evaluator.runs.state_hashes import ArrayHistory, Histories
+from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.text import bound, plural
 
 _ENVS, _RUNS = "bits of environments", "bits of runs"
@@ -135,12 +135,11 @@ def _level(title: str, one: Estimate, other: Estimate, n: tuple[int, int]) -> Fi
 
 
 def _bound(name: str, alike: Estimate, change: Change) -> str:
-    # the rule of three, as in docs/statistics.md
     if name != "distinct_runs" or change is Change.SAME:
         return ""
-    below: Any = 1 - 0.05 ** (1 / (alike.n - 1))
+    below = bound(upper_bound_of_none(alike.n - 1))
     return (
-        f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {bound(below)} "
+        f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {below} "
         "(95 % confidence)"
     )
 
