@@ -297,6 +297,17 @@ def test_what_cannot_touch_is_not_said_to_hold(tmp_path: Path) -> None:
     assert why(facts_of(path), Check.DEPTH_REST) == "the scene has no fixed bodies"
 
 
+def test_a_body_that_is_nowhere_is_not_said_to_be_above_the_floor(tmp_path: Path) -> None:
+    """Say that it is not known whether a body sank whose last position is not finite, unless another one sank."""
+    motion = at_rest(make_scene("cube-toss"), 10, n_env=2)
+    motion["position"][-1, 1] = np.nan
+    facts = facts_of(write_motion(tmp_path, "cube-toss", motion))
+    assert Check.FINITE in broken(facts)
+    assert "whether that body sank is not known" in why(facts, Check.SANK)
+    motion["position"][5:, 0, 0, 2] = -1.0
+    assert measured(facts_of(write_motion(tmp_path, "cube-toss", motion)), Check.SANK).broken == 1
+
+
 def test_fixed_bodies_of_other_shapes_are_not_left_out(tmp_path: Path) -> None:
     """Say that a scene with a fixed ball is not checked, instead of checking it as if the ball were not there."""
 

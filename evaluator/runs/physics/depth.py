@@ -261,14 +261,18 @@ def count_sunk(recording: Recording) -> Sunk | Missing:
         return Missing("heights were not recorded")
     n_env, cubes = last.shape[:2]
     last_step = int(array.steps[-1])
+    lost = Missing("a position is not finite at the last captured step: whether that body sank is not known")
+    known = bool(np.isfinite(last).all())
     radius = max(radius_of(recording, field.group) for field in fields)
     if not may_have_sunk(last, supports, radius):
-        return Sunk((0,) * n_env, cubes, last_step, None)
+        return Sunk((0,) * n_env, cubes, last_step, None) if known else lost
     following = Sinking(in_env_frame(recording, array.field, array.at_step(int(array.steps[0]))), supports, radius)
     count = max(1, _ROW_BYTES // last.nbytes)
     for begin in range(1, len(array), count):
         for row in array.read(slice(begin, begin + count)):
             following.feed(in_env_frame(recording, array.field, row))
     found = following.sank
+    if not (known or found.any()):
+        return lost
     first = int(array.steps[following.since[found].min()]) if found.any() else None
     return Sunk(tuple(np.count_nonzero(found, axis=1).tolist()), cubes, last_step, first)
