@@ -25,6 +25,7 @@ from gpusimbench.evaluator.statistics.regimes import (
     regime_probabilities,
     upper_bound_of_none,
 )
+from gpusimbench.schemas.text import bound
 
 RUNS = (3, 5, 10, 20)
 LEVEL = 0.05
@@ -254,7 +255,7 @@ def bound_rows(replications: int, rng: Generator) -> list[tuple[str, ...]]:
             for trials in worst:
                 wrong = float((agree & (differs > upper_bound_of_none(trials))).mean())
                 worst[trials] = max(worst[trials], wrong)
-        rows.append((str(n_run), percent(upper_bound_of_none(n_run - 1)), *map(percent, worst.values())))
+        rows.append((str(n_run), bound(upper_bound_of_none(n_run - 1)), *map(percent, worst.values())))
     return rows
 
 

@@ -12,7 +12,7 @@ other jobs came and went; they pass through `compare.history`.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,7 @@ from gpusimbench.evaluator.statistics.change_points import change_points
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
 RUNS, CONFIGURATIONS = 6, 20
+FEWEST = 4
 LENGTHS, SLOWER = (10, 20, 40), (1.05, 1.1, 1.2)
 SETS, CHECKED, SHUFFLES = 1000, 20, 20
 SEED = 0
@@ -120,6 +121,8 @@ def tables() -> Iterator[str]:
     yield ""
     yield from false_alarms(quartiles)
     yield ""
+    yield from other_laws()
+    yield ""
     yield from recorded()
     yield ""
     yield from power(quartiles)
@@ -145,6 +148,21 @@ def false_alarms(quartiles: list[float]) -> Iterator[str]:
                 )
             )
         yield f"| {title} | {' | '.join(cells)} |"
+
+
+def other_laws() -> Iterator[str]:
+    """Curves in which nothing changes, of independent points that are not normal: whether any change is marked."""
+    laws: dict[str, Callable[[np.random.Generator, int], Times]] = {
+        "normal": lambda rng, points: rng.standard_normal(points),
+        "heavy tails, t(3)": lambda rng, points: rng.standard_t(3, points),
+        "one of two values, in 3 and in 7 of 10 points": lambda rng, points: (rng.random(points) < 0.3).astype(float),
+    }
+    yield f"| nothing changes, one curve | {' | '.join(f'{n} points' for n in (FEWEST, *LENGTHS))} |"
+    yield f"| --- |{' --- |' * (1 + len(LENGTHS))}"
+    for title, law in laws.items():
+        rng = np.random.default_rng(SEED)
+        rates = [np.mean([bool(change_points(law(rng, n), 0.05)) for _ in range(SETS)]) for n in (FEWEST, *LENGTHS)]
+        yield f"| {title} | {' | '.join(f'{rate:.0%}' for rate in rates)} |"
 
 
 def recorded() -> Iterator[str]:

@@ -94,11 +94,10 @@ def percent(share: float) -> str:
 
 
 def bound(share: float) -> str:
-    """An upper bound of a share in percent: whole ones, and of less than 10 % two digits, rounded up."""
-    if share >= 0.095:
-        return f"{100 * share:.0f} %"
-    digits = 10 ** (1 - math.floor(math.log10(100 * share))) if share > 0 else 1.0
-    return f"{math.ceil(100 * share * digits) / digits:.2g} %"
+    """An upper bound of a share in percent, rounded up: to a whole number, or to two digits if it is less than 10 %."""
+    percents = float(f"{100 * share:.12g}")  # 29 %, and not 29.000000000000004 %
+    digits = 10 ** (1 - math.floor(math.log10(percents))) if 0 < percents < 10 else 1.0
+    return f"{math.ceil(percents * digits) / digits:.{2 if percents < 10 else 3}g} %"
 
 
 def show(text: Line | Block, *, error: bool = False) -> None:

@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 
 from gpusimbench import UsageError, open_recording, wrap
+from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.read.episodes import Episode, episodes
+from gpusimbench.evaluator.replays.comparison import compare
+from gpusimbench.evaluator.replays.document import verdict as sentence
+from gpusimbench.evaluator.replays.document import warnings
 from gpusimbench.evaluator.replays.verdict import Verdict, judge
 from gpusimbench.evaluator.statistics.rates import wilson
 from gpusimbench.recorder.vector.open_loop import replay
@@ -287,6 +291,43 @@ def test_what_counts_as_the_same_outcome() -> None:
     cut = episode([1.0, -1.0], terminated=False)  # by the end of the recording: its steps alone count
     assert judge(cut, episode([1.0, -1.0, 2.0]), None, 0.0).verdict is Verdict.IDENTICAL
     assert judge(cut, episode([1.0]), None, 0.0).verdict is Verdict.OTHER
+
+
+class _Late(gymnasium.Env[Any, Any]):
+    """A task that succeeds at its fifth step, and ends never."""
+
+    observation_space = action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        """Begin again."""
+        super().reset(seed=seed)
+        self.steps = 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Count."""
+        self.steps += 1
+        return np.full(1, self.steps / 100, np.float32), 1.0, False, False, {"success": self.steps >= 5}
+
+
+@pytest.mark.parametrize("at", At)
+def test_of_an_episode_that_was_cut_the_recorded_steps_alone_count(tmp_path: Path, at: At) -> None:
+    """Hold no success of a longer replay against an episode that was recorded up to its third step, and say that the
+    episodes did not end."""
+    for name, steps in (("a", 3), ("b", 6)):
+        made = gymnasium.vector.SyncVectorEnv([_Late] * 2)
+        envs = wrap(made, tmp_path / f"{name}.mcap", steps=steps, dt=0.1, infos=["success"])
+        envs.reset(seed=0)
+        for _ in range(steps):
+            envs.step(np.zeros((2, 1), np.float32))
+        envs.close()
+    original, longer = (open_recording(tmp_path / f"{name}.mcap") for name in "ab")
+    found = compare(original, longer, success="success", at=at, tolerance=0.0)
+    assert {one.verdict for one in found.episodes} == {Verdict.IDENTICAL}
+    assert sentence(found) == "All 2 episodes, as far as recorded, replay bit for bit."
+    assert "2 episodes of the original have no end" in " ".join(warnings(found))
+    found = compare(longer, longer, success="success", at=at, tolerance=0.0)
+    assert {one.success for one in found.episodes} == {(True, True)}
 
 
 def test_infos_of_success(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gpusimbench.evaluator.bisect.environment import NotInstalled, Plan, environment_of
-from gpusimbench.evaluator.bisect.predicates import Predicate, Verdict, by_states, first_number
+from gpusimbench.evaluator.bisect.predicates import STATES, Predicate, Verdict, by_states, first_number
 from gpusimbench.evaluator.compute.recorder import record
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.diff.settings import differing_settings
@@ -122,6 +122,14 @@ class Bisection:
     def exact(self) -> bool:
         """Whether the first release that differs is known."""
         return self.different is not None and not self.skipped
+
+    @property
+    def once(self) -> bool:
+        """Whether states are said to differ, and nothing shows that the engine repeats itself: no release has two
+        runs, and none that was recorded has the states of the good one."""
+        repeated = any(len(files) > 1 for files in self.files.values())
+        alike = any(verdict.different is False for verdict in self.tested.values())
+        return self.predicate == STATES and self.different is not None and not (repeated or alike)
 
 
 @dataclass
@@ -250,7 +258,7 @@ def bisect_document(found: Bisection) -> Document:
     good = Verdict(False, "the good release")
     rows = [_row(version, verdict) for version, verdict in {found.versions[0]: good, **found.tested}.items()]
     blocks: list[Block] = [
-        Text(verdict_of(found), Tone.PLAIN if found.exact else Tone.WARNING),
+        Text(verdict_of(found), Tone.PLAIN if found.exact and not found.once else Tone.WARNING),
         table("releases", "", ("release", f"against {found.versions[0]}", "evidence"), rows),
     ]
     if pairs := _pairs(found):
@@ -260,15 +268,19 @@ def bisect_document(found: Bisection) -> Document:
 
 def verdict_of(found: Bisection) -> str:
     """One sentence: which release is the first that differs."""
-    what = "states" if found.predicate == "states" else "recordings"
+    what = "states" if found.predicate == STATES else "recordings"
     good, bad = found.versions[0], found.versions[-1]
     where = f"in {found.scene}"
     if found.different is None:
         return f"{found.package} {bad} does not differ from {good} {where}, judged by {found.predicate}."
+    noise = " Whether runs of one release differ as well is not known: --runs 2 tells." if found.once else ""
     if found.skipped:
         left = f"{', '.join(found.skipped)} could not be judged"
-        return f"The {what} {where} changed after {found.package} {found.same} and up to {found.different}; {left}."
-    return f"{found.package} {found.different} is the first release whose {what} {where} differ from those of {good}."
+        return (
+            f"The {what} {where} changed after {found.package} {found.same} and up to {found.different}; {left}.{noise}"
+        )
+    first = f"{found.package} {found.different} is the first release"
+    return f"{first} whose {what} {where} differ from those of {good}.{noise}"
 
 
 def dump_json(found: Bisection) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, comparable, identical
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate
 from gpusimbench.evaluator.runs.state_hashes import ArrayHistory, Histories
+from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.text import bound, plural
 
 _ENVS, _RUNS = "bits of environments", "bits of runs"
@@ -59,18 +59,41 @@ def compare_bits(base: Runs, head: Runs) -> Finding | None:
     rows = min(len(one.steps), len(other.steps))
     if not rows or not np.array_equal(one.steps[:rows], other.steps[:rows]):
         return not_compared(Axis.BITS, "states", _STATES, "different steps were captured")
-    apart = np.flatnonzero((one.digests[:rows] != other.digests[:rows]).any(axis=1))
-    same = not len(apart)
+    since = _first_apart(one, other)
+    same = since is None
     if not same and min(n) < 2:
-        since = int(one.steps[apart[0]])
         why = (
             f"they differ from step {since} on (gsb-diff shows in which arrays), but runs of one side may differ too: "
             "needs two runs a side"
         )
         return not_compared(Axis.BITS, "states", _STATES, why)
-    said = f"bit-identical at {plural(rows, 'step')}" if same else f"differ from step {int(one.steps[apart[0]])} on"
+    said = f"bit-identical at {plural(rows, 'step')}" if same else f"differ from step {since} on"
     change = Change.SAME if same else Change.CHANGED
     return Finding(Axis.BITS, "states", _STATES, change, said=("", said), n=n, method=method)
+
+
+def _first_apart(one: Histories, other: Histories) -> int | None:
+    """The first step at which states differ, of two runs that captured the same steps; None where they do not."""
+    rows = min(len(one.steps), len(other.steps))
+    apart = np.flatnonzero((one.digests[:rows] != other.digests[:rows]).any(axis=1))
+    return int(one.steps[apart[0]]) if len(apart) else None
+
+
+def apart_by_chance(before: Runs, after: Runs) -> int | None:
+    """The first step at which states differ that compare_bits does not judge, because a side has a single run and
+    runs of one side may differ as well; None where it judges, or where they do not differ."""
+    finding = compare_bits(before, after)
+    if finding is None or finding.change is not Change.NOT_COMPARED or min(len(before), len(after)) > 1:
+        return None
+    runs = [*before, *after]
+    found = [[run.histories for run in side if run.histories] for side in (before, after)]
+    if len(set(map(comparable, runs))) > 1 or not all(found):
+        return None
+    if any(len({h.until(len(h.steps)) for h in side}) > 1 for side in found):
+        return None
+    one, other = found[0][0], found[1][0]
+    rows = min(len(one.steps), len(other.steps))
+    return _first_apart(one, other) if np.array_equal(one.steps[:rows], other.steps[:rows]) else None
 
 
 def compare_arrays(base: Runs, head: Runs) -> Finding | None:
@@ -135,12 +158,11 @@ def _level(title: str, one: Estimate, other: Estimate, n: tuple[int, int]) -> Fi
 
 
 def _bound(name: str, alike: Estimate, change: Change) -> str:
-    # the rule of three, as in docs/statistics.md
     if name != "distinct_runs" or change is Change.SAME:
         return ""
-    below: Any = 1 - 0.05 ** (1 / (alike.n - 1))
+    below = bound(upper_bound_of_none(alike.n - 1))
     return (
-        f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {bound(below)} "
+        f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {below} "
         "(95 % confidence)"
     )
 

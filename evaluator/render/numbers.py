@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from decimal import Decimal
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import EMPTY, Cell, Tone
@@ -10,15 +11,21 @@ from gpusimbench.evaluator.render.document import NONE as NONE
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.metric import Estimate
 
-_MARKS = {"certified": "<= ", "sampled": "~ "}
-"""Of a value that is an upper bound, or of a sample."""
-
 
 def distance(value: float) -> str:
     """A distance in cm: three decimals, and never "0.000" for what is not zero."""
     if value == 0:
         return "0"
     return f"{value:.3f}" if abs(value) >= 0.0005 else f"{value:.1e}"
+
+
+def distance_bound(value: float, *, upper: bool) -> str:
+    """A bound of a distance in cm, as `distance`, but rounded up if it is an upper bound, and down if it is a lower."""
+    shown = Decimal(distance(value))
+    last = Decimal((0, (1,), int(shown.as_tuple().exponent)))  # one unit of the last digit
+    if float(shown) < value if upper else float(shown) > value:
+        shown += last if upper else -last
+    return distance(float(shown))
 
 
 def figure(value: float, unit: str) -> str:
@@ -39,10 +46,14 @@ def figure(value: float, unit: str) -> str:
 
 
 def mean_sd(metric: Estimate) -> str:
-    """Mean and SD as published tables print them; a dash where there is no value."""
+    """Mean and SD as published tables print them, marked if a bound or of a sample; a dash where there is no value."""
     if isinstance(metric.value, Missing):
         return NONE
-    mean = _MARKS.get(metric.exactness, "") + figure(metric.value, metric.unit)
+    mean = figure(metric.value, metric.unit)
+    if metric.exactness == "certified":  # W1 alone, in cm
+        mean = f"<= {distance_bound(metric.value, upper=True)}"
+    elif metric.exactness == "sampled":
+        mean = f"~ {mean}"
     return mean if metric.sd is None else f"{mean} ± {figure(metric.sd, metric.unit)}"
 
 

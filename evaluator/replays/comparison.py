@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.diff.settings import UNSET, differing_settings
 from gpusimbench.evaluator.episodes.success import At, successes
-from gpusimbench.evaluator.read.episodes import Episode, episode_table, episodes, has_episodes
+from gpusimbench.evaluator.read.episodes import Episode, EpisodeTable, episode_table, episodes, has_episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.replays.verdict import Judged, Verdict, judge
 from gpusimbench.evaluator.statistics.rates import wilson
@@ -84,7 +85,10 @@ def compare(original: Recording, replay: Recording, *, success: str | None, at: 
     """
     if not has_episodes(original):
         raise NothingComparable(f"{original.path} has no episodes: gpusimbench.wrap records them")
-    flags = [successes_of(one, success, at) for one in (original, replay)] if success else []
+    flags = []
+    if success:
+        steps = _steps_of_cut(original)
+        flags = [successes_of(original, success, at), successes_of(replay, success, at, steps)]
     judged = []
     of_replay = _by_env(replay)
     number, replayed = next(of_replay, (-1, []))
@@ -134,8 +138,30 @@ def _by_env(recording: Recording) -> Iterator[tuple[int, list[Episode]]]:
         yield env, list(group)
 
 
-def successes_of(recording: Recording, name: str, at: At) -> dict[tuple[int, int], bool]:
-    """Whether each episode succeeded, by environment and number; raises as successes of evaluator.episodes."""
+def _steps_of_cut(recording: Recording) -> dict[tuple[int, int], int]:
+    """Steps of the episodes that the task did not end, by environment and number."""
     table = episode_table(recording)
-    found = successes(recording, table, np.arange(len(table.env)), name, at)
-    return dict(zip(zip(table.env.tolist(), table.number.tolist(), strict=True), found.tolist(), strict=True))
+    rows = np.flatnonzero(~table.ended)
+    return dict(zip(_keys(table, rows), table.length[rows].tolist(), strict=True))
+
+
+def successes_of(
+    recording: Recording, name: str, at: At, steps: Mapping[tuple[int, int], int] | None = None
+) -> dict[tuple[int, int], bool]:
+    """Whether each episode succeeded, by environment and number; raises as successes of evaluator.episodes.
+
+    steps  of episodes of which no more are looked at
+    """
+    table = episode_table(recording)
+    rows = np.arange(len(table.env))
+    keys = _keys(table, rows)
+    ends = [
+        min(last, first + (steps or {}).get(key, last))
+        for key, first, last in zip(keys, table.first_row.tolist(), table.last_row.tolist(), strict=True)
+    ]
+    table = replace(table, last_row=np.array(ends, dtype=np.int64))
+    return dict(zip(keys, successes(recording, table, rows, name, at).tolist(), strict=True))
+
+
+def _keys(table: EpisodeTable, rows: NDArray[np.int64]) -> list[tuple[int, int]]:
+    return list(zip(table.env[rows].tolist(), table.number[rows].tolist(), strict=True))

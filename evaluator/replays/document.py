@@ -83,9 +83,9 @@ def verdict(found: Compared) -> str:
     """In a sentence."""
     n, counts = len(found.episodes), {one.verdict: one.episodes for one in found.shares}
     if counts[Verdict.IDENTICAL] == n:
-        return f"{_all(n)} bit for bit."
+        return f"{_all(found)} bit for bit."
     if counts[Verdict.IDENTICAL] + counts[Verdict.SAME] == n:
-        return f"{_all(n)} with the same outcome; {counts[Verdict.SAME]} with other bits."
+        return f"{_all(found)} with the same outcome; {counts[Verdict.SAME]} with other bits."
     if not any(counts[one] for one in _WORDS):
         return (
             f"{counts[Verdict.UNKNOWN]} of {plural(n, 'episode')} with other bits; the data set has neither rewards "
@@ -98,8 +98,11 @@ def verdict(found: Compared) -> str:
 _WORDS = {Verdict.OTHER: "end with another outcome in the replay", Verdict.ABSENT: "could not be replayed"}
 
 
-def _all(n: int) -> str:
-    return f"All {n} episodes replay" if n > 1 else "The episode replays"
+def _all(found: Compared) -> str:
+    n, cut = len(found.episodes), sum(one.ends[0] == "cut" for one in found.episodes)
+    some = f" {cut} of them" if cut < n else ""
+    as_far = f",{some} as far as recorded," if cut else ""
+    return f"All {n} episodes{as_far} replay" if n > 1 else f"The episode{as_far} replays"
 
 
 def first_words(found: Compared) -> str:
@@ -126,6 +129,12 @@ def warnings(found: Compared) -> Iterator[str]:
         yield "the data set does not say which versions and which machine made it; a difference there may be the reason"
     if names := dict.fromkeys(name for one in found.episodes for name in one.rounded):
         yield f"compared in float32, since one of the files holds no more digits: {', '.join(names)}"
+    if cut := sum(one.ends[0] == "cut" for one in found.episodes):
+        has = "has" if cut == 1 else "have"
+        yield (
+            f"{plural(cut, 'episode')} of the original {has} no end, because a reset or the end of the recording came "
+            "first or the data set does not tell it: the recorded steps alone are compared"
+        )
     if any(one.returns[0] is None for one in found.episodes):
         yield "the original has no rewards: returns were not compared"
     for text in dict.fromkeys(text for one in found.episodes for text in one.not_compared):

@@ -9,17 +9,12 @@ from types import MappingProxyType
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput, ranked_words
-from gpusimbench.evaluator.results.details import Throughput
+from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput, ranked_words, shown_slower
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import most_common, window_key
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, Ranked, configuration, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
-from gpusimbench.evaluator.statistics.ratio import MIN_RUNS, ratio_of_means
-
-_SLOWER = 0.95
-"""Throughput in proportion to another, at most, that few runs show to be lower."""
 
 _UNKNOWN = "no run of this configuration has errors against tosses"
 
@@ -68,23 +63,11 @@ class Fastest:
 
     @property
     def rival(self) -> Speed | None:
-        """The next, where its throughput is not shown to be lower than that of the first.
-
-        It is where the 95 % interval of the ratio of means over runs ends below 1; of fewer than three runs a side,
-        which have no interval, where the next is slower by 5 % at least.
-        """
+        """The next, where its throughput is not shown to be lower than that of the first; see shown_slower."""
         if self.first is None or self.second is None:
             return None
-        first, second = (
-            speed.result.metrics[FPS.name].of(Throughput).per_run or () for speed in (self.first, self.second)
-        )
-        found = ratio_of_means(second, first)
-        if found.high is not None:
-            shown = found.high < 1
-        else:  # of many runs, none differs from another of its side
-            many = min(len(first), len(second)) >= MIN_RUNS
-            shown = found.estimate < 1 if many else found.estimate <= _SLOWER
-        return None if shown else self.second
+        first, second = (speed.result.metrics[FPS.name] for speed in (self.first, self.second))
+        return None if shown_slower(second, first) else self.second
 
 
 def not_ranked(found: Fastest, results: Sequence[GroupResult]) -> dict[str, list[GroupResult]]:

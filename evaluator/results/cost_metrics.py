@@ -25,7 +25,11 @@ from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, each, missing, over_runs
 from gpusimbench.evaluator.results.timed_work import Speeds, speeds_of
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.evaluator.statistics.ratio import MIN_RUNS, ratio_of_means
 from gpusimbench.schemas.text import plural
+
+_SLOWER = 0.95
+"""Throughput in proportion to another, at most, that few runs show to be lower."""
 
 _NOT_SAMPLED = "the timed phase was left out, or no memory was sampled in it"
 
@@ -58,6 +62,21 @@ def ranked_words(fps: Estimate) -> str:
     """The same with its unit."""
     speeds = fps.of(Throughput).speeds
     return speeds.slowest if speeds else f"{ranked_throughput(fps):,.0f} {FPS.unit}"
+
+
+def shown_slower(slower: Estimate, faster: Estimate) -> bool:
+    """Whether a throughput is shown to be lower than another.
+
+    It is where the 95 % interval of the ratio of means over runs ends below 1; of fewer than three runs a side, which
+    have no interval, where it is lower by 5 % at least.
+    """
+    of_slower, of_faster = (fps.of(Throughput).per_run or () for fps in (slower, faster))
+    found = ratio_of_means(of_slower, of_faster)
+    if found.high is not None:
+        return found.high < 1
+    # of many runs, none differs from another of its side
+    many = min(len(of_slower), len(of_faster)) >= MIN_RUNS
+    return found.estimate < 1 if many else found.estimate <= _SLOWER
 
 
 def _speeds(group: GroupRuns) -> Speeds | None:

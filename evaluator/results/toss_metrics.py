@@ -129,14 +129,14 @@ TOSS_ROTATION = Metric(
 
 TOSS_END_POSITION = replace(
     TOSS_POSITION, name="toss_end_position", title="error of position at the end",
-    docs="distance between the centres at the last measured row of each toss",
+    docs="distance between the centres at the last measured row of each toss that the run recorded (see `--stride`)",
     method="distance from the simulated centre to the toss's at its last row",
     of_group=_of("end_position", _CM),
 )  # fmt: skip
 
 TOSS_END_ROTATION = replace(
     TOSS_ROTATION, name="toss_end_rotation", title="error of rotation at the end",
-    docs="angle between the orientations at the last measured row of each toss",
+    docs="angle between the orientations at the same row",
     method="angle from the simulated orientation to the toss's at its last row",
     of_group=_of("end_rotation", _DEGREES),
 )  # fmt: skip

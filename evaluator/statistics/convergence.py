@@ -13,22 +13,19 @@ import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.statistics.cases import FEWEST, interval_over_cases
 
 Array = npt.NDArray[np.float64]
 
 FEWEST_STEPS = 3
 """Steps with an error: two give one local order, which nothing contradicts."""
 
-FEWEST_ENVS = 8
-"""Environments for an interval."""
-
 AGREE = 0.2
 """How far the local order of two neighbouring steps may be from the fitted order in the asymptotic range."""
 
-DRAWS = 400
-"""Resampled sets of environments behind an interval."""
-
-_ORDERS = (0.05, 8.0)  # between which an order is looked for
+_ORDERS = (0.05, 8.0)  # between which an order is looked for, by golden sections
+_GOLDEN = (5**0.5 - 1) / 2
+_CUTS = 36  # to 3e-7
 
 
 @dataclass(frozen=True)
@@ -38,7 +35,7 @@ class Order:
     steps        h, from large to small [s]
     errors       root mean square over environments, of each step
     order        p, by least squares of log error; Missing where errors fit best at an end of the range that is searched
-    ci95         by resampling environments; or why there is none
+    ci95         by resampling environments (see ends_of of cases.py); or why there is none
     local        order of each two neighbouring steps; Missing as `order`
     """
 
@@ -82,13 +79,13 @@ def fit_order(steps: npt.ArrayLike, errors: npt.ArrayLike, *, finest: float = 0.
     if not whole.all():
         return Missing(f"there is no error at a step of {h[int(np.argmin(whole))]:g} s")
     pairs = [slice(i, i + 2) for i in range(len(h) - 1)]
-    order = _inside(_fitted(h, whole, finest))
+    order = _inside(float(_fitted(h, whole, finest)))
     return Order(
         tuple(h.tolist()),
         tuple(whole.tolist()),
         order,
         Missing("there is no order") if isinstance(order, Missing) else _interval(h, found, finest, seed),
-        tuple(_inside(_fitted(h[pair], whole[pair], finest)) for pair in pairs),
+        tuple(_inside(float(_fitted(h[pair], whole[pair], finest))) for pair in pairs),
     )
 
 
@@ -106,36 +103,39 @@ def _inside(order: float) -> float | Missing:
 
 def _interval(h: Array, errors: Array, finest: float, seed: int) -> tuple[float, float] | Missing:
     count = errors.shape[1]
-    if count < FEWEST_ENVS:
-        return Missing(f"an interval needs {FEWEST_ENVS} environments, and there are {count}")
-    if (errors == errors[:, :1]).all():
+    if count >= FEWEST and (errors == errors[:, :1]).all():
         return Missing("the environments are alike")
-    draw = np.random.default_rng(seed)
-    orders = []
-    for _ in range(DRAWS):
-        drawn = _rms(errors[:, draw.integers(count, size=count)])
-        if drawn.all():
-            orders.append(_fitted(h, drawn, finest))
-    if len(orders) < DRAWS:
-        return Missing("some draws of environments have no error at all")
-    low, high = np.quantile(orders, (0.025, 0.975))
-    return float(low), float(high)
+
+    def orders(drawn: npt.NDArray[np.int64]) -> Array:
+        return _fitted(h, _rms(errors[:, drawn]).T, finest)
+
+    ends = interval_over_cases(orders, count, seed=seed)
+    if ends is None:
+        return Missing(f"an interval needs {FEWEST} environments, and there are {count}")
+    return Missing("some draws of environments have no error at all") if np.isnan(ends).any() else ends
 
 
 def _rms(errors: Array) -> Array:
-    return np.asarray(np.sqrt(np.square(errors).mean(axis=1)))
+    return np.asarray(np.sqrt(np.square(errors).mean(axis=-1)))
 
 
-def _fitted(h: Array, error: Array, finest: float) -> float:
-    from scipy.optimize import minimize_scalar
-
-    wanted = np.log(error)
+def _fitted(h: Array, error: Array, finest: float) -> Array:
+    """The order of each row of errors, [..., step]; NaN of a row that has a zero."""
+    known = np.asarray(error.all(axis=-1))
+    wanted = np.log(np.where(known[..., None], error, 1.0))
     if finest == 0.0:
-        return float(np.polyfit(np.log(h), wanted, 1)[0])
+        away = np.log(h) - np.log(h).mean()
+        return np.asarray(np.where(known, wanted @ away / (away @ away), np.nan))
 
-    def missed(order: float) -> float:
+    def missed(order: Array) -> Array:
         # log(h^p - h0^p), with the common factor h0^p taken out so that small steps to a high power stay numbers
-        rest = wanted - order * np.log(finest) - np.log(np.expm1(order * np.log(h / finest)))
-        return float(np.square(rest - rest.mean()).sum())
+        p = order[..., None]
+        rest = wanted - p * np.log(finest) - np.log(np.expm1(p * np.log(h / finest)))
+        return np.asarray(np.square(rest - rest.mean(axis=-1, keepdims=True)).sum(axis=-1))
 
-    return float(minimize_scalar(missed, bounds=_ORDERS, method="bounded", options={"xatol": 1e-6}).x)
+    low, high = (np.full(known.shape, end) for end in _ORDERS)
+    for _ in range(_CUTS):
+        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        nearer = missed(left) < missed(right)
+        low, high = np.where(nearer, low, left), np.where(nearer, right, high)
+    return np.asarray(np.where(known, (low + high) / 2, np.nan))

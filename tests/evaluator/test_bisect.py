@@ -112,6 +112,8 @@ def test_states() -> None:
     assert first_number(*_shipped("amd-r0"), *_shipped("amd-r1")) == ""
     noisy = [*_shipped("amd-r0"), *_shipped("pyramidal-r0")]
     assert judge(noisy, noisy).different is None
+    late = [*_shipped("amd-r0"), *_shipped("amd-r1"), *_shipped("pyramidal-r0")]
+    assert judge(late, late).different is None  # not the second run, but the third differs
 
 
 def test_states_between_recorded_ones(tmp_path: Path) -> None:
@@ -193,6 +195,18 @@ def test_several_packages_changed(capsys: pytest.CaptureFixture[str]) -> None:
     assert "1.5 to 2 step 3 first number step 3, x" in said
     skipped = verdict_of(_found(same="1", skipped=("1.5",)))
     assert skipped == "The states in franka changed after mujoco 1 and up to 2; 1.5 could not be judged."
+
+
+def test_one_run_of_an_engine_that_nothing_shows_to_repeat_itself() -> None:
+    """Say that runs of one release may differ as well, unless two runs, or two releases, have the same states."""
+    told = "Whether runs of one release differ as well is not known: --runs 2 tells."
+    differing = {"1.5": Verdict(True, "step 1"), "2": Verdict(True, "step 1")}
+    once = dict.fromkeys(("1", "1.5", "2"), ("a.mcap",))
+    assert told in verdict_of(_found(tested=differing, files=once, same="1", different="1.5"))
+    twice = dict.fromkeys(once, ("a.mcap", "b.mcap"))
+    assert told not in verdict_of(_found(tested=differing, files=twice, same="1", different="1.5"))
+    assert told not in verdict_of(_found(files=once))
+    assert told not in verdict_of(_found(tested=differing, files=once, predicate="gsb-compare"))
 
 
 def _arguments(out: Path, *environments: str) -> list[object]:

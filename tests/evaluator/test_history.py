@@ -184,6 +184,23 @@ def test_a_point_without_a_value_says_why(tmp_path: Path, capsys: pytest.Capture
     ]
 
 
+def test_states_of_single_runs_that_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Say beside "no change" that states of points of one run differ, and not where two runs of a point tell."""
+    for index in range(4):
+        write_point(tmp_path / "once", index, runs=1, final=grid(4) + (index > 0) + (index > 1))
+        write_point(tmp_path / "alike", index, runs=1, final=grid(4))
+        write_point(tmp_path / "twice", index, runs=2, final=grid(4) + (index > 1))
+    _, document = history(tmp_path / "once", capsys=capsys)
+    assert document["verdict"] == "NO CHANGE found over 4 points"
+    (note,) = document["notes"]
+    assert "states of v2 differ from those of v1 from step " in note and "and so at 1 earlier point" in note
+    assert note.endswith("whether runs of one point differ as well is not known: record two runs a point")
+    _, document = history(tmp_path / "alike", capsys=capsys)
+    assert document["notes"] == []
+    _, document = history(tmp_path / "twice", capsys=capsys)
+    assert document["notes"] == [] and ("v2", "states", "changed") in changes(document)
+
+
 def test_runs_that_are_no_longer_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Tell at which version runs stopped being bit-identical, and where they are again."""
     rng = np.random.default_rng(0)

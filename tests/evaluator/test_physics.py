@@ -15,7 +15,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts, Revision
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 from gpusimbench.evaluator.runs.physics.states import MOST_ENVS, Walk, drawn_envs
-from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.base import Scene, Sphere
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import DamagedRecording
 from tests.evaluator.trajectories import Motion, at_rest, falling, heavier_gravity, rolling, write_motion
@@ -251,6 +251,72 @@ def test_no_step_excuses_a_cube_that_is_deep_in_another(tmp_path: Path) -> None:
         assert first.revision is Revision.FIRST
         assert Check.PAIR_EVER not in broken(first)
         assert measured(first, Check.PAIR_EVER).tolerance == pytest.approx(0.0157617, rel=1e-4)
+
+
+@pytest.mark.parametrize("depth", [0.0009, 0.0011])
+def test_balls_in_each_other(tmp_path: Path, depth: float) -> None:
+    """Measure how deep balls are in each other, at rest and ever, and break only what is beyond the tolerance."""
+    motion = at_rest(make_scene("ball-drop"), 5)
+    motion["position"][:, :, 1] = motion["position"][:, :, 0] + [0.1 - depth, 0.0, 0.0]
+    facts = facts_of(write_motion(tmp_path, "ball-drop", motion))
+    for check in (Check.PAIR_REST, Check.PAIR_EVER):
+        assert measured(facts, check).most == pytest.approx(depth)
+    assert measured(facts, Check.PAIR_REST).tolerance == pytest.approx(9.81 * 0.01**2)
+    assert (Check.PAIR_REST in broken(facts)) is (depth > 9.81 * 0.01**2)
+    motion["linear_velocity"][-1, :, 1, 0] = 0.02
+    assert measured(facts_of(write_motion(tmp_path, "ball-drop", motion)), Check.PAIR_REST).most == 0.0
+
+
+def test_a_ball_in_a_cube_at_rest(tmp_path: Path) -> None:
+    """Measure a ball that rests 3 mm deep in a cube that is turned by 45 degrees."""
+    scene = make_scene("inclined-collision")
+    motion, radius = at_rest(scene, 5), next(b.shape.radius for b in scene.moving() if isinstance(b.shape, Sphere))
+    turn = math.radians(45.0)
+    motion["orientation"][:, :, 27] = [math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)]
+    motion["position"][:, :, 27] = [5.0, 5.0, 1.0]
+    out = np.array([math.cos(turn), math.sin(turn), 0.0])  # normal of a face
+    motion["position"][:, :, 0] = motion["position"][:, :, 27] + (0.01 + radius - 0.003) * out
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion))
+    assert measured(facts, Check.PAIR_REST).most == pytest.approx(0.003)
+    assert Check.PAIR_REST in broken(facts)
+
+
+def test_what_cannot_touch_is_not_said_to_hold(tmp_path: Path) -> None:
+    """Say why no depth is measured of a body without another one, of bodies that move, and without fixed bodies."""
+    facts = facts_of(write_motion(tmp_path, "cube-toss", at_rest(make_scene("cube-toss"), 5)))
+    assert {why(facts, check) for check in (Check.PAIR_REST, Check.PAIR_EVER)} == {"a single body moves"}
+    motion = at_rest(make_scene("ball-drop"), 5)
+    motion["linear_velocity"][:, :, 1:, 0] = 0.5
+    facts = facts_of(write_motion(tmp_path, "ball-drop", motion))
+    assert why(facts, Check.PAIR_REST) == "no two bodies of an environment are at rest at the end"
+
+    def floating(scene: Scene) -> Scene:
+        return replace(scene, bodies=scene.moving())
+
+    path = write_motion(tmp_path, "ball-drop", at_rest(make_scene("ball-drop"), 5), change_scene=floating)
+    assert why(facts_of(path), Check.DEPTH_REST) == "the scene has no fixed bodies"
+
+
+def test_a_body_that_is_nowhere_is_not_said_to_be_above_the_floor(tmp_path: Path) -> None:
+    """Say that it is not known whether a body sank whose last position is not finite, unless another one sank."""
+    motion = at_rest(make_scene("cube-toss"), 10, n_env=2)
+    motion["position"][-1, 1] = np.nan
+    facts = facts_of(write_motion(tmp_path, "cube-toss", motion))
+    assert Check.FINITE in broken(facts)
+    assert "whether that body sank is not known" in why(facts, Check.SANK)
+    motion["position"][5:, 0, 0, 2] = -1.0
+    assert measured(facts_of(write_motion(tmp_path, "cube-toss", motion)), Check.SANK).broken == 1
+
+
+def test_fixed_bodies_of_other_shapes_are_not_left_out(tmp_path: Path) -> None:
+    """Say that a scene with a fixed ball is not checked, instead of checking it as if the ball were not there."""
+
+    def with_ball(scene: Scene) -> Scene:
+        ball = replace(scene.moving()[0], name="fixed ball", mass=None, group="")
+        return replace(scene, bodies=(*scene.bodies, ball))
+
+    path = write_motion(tmp_path, "ball-drop", at_rest(make_scene("ball-drop"), 5), change_scene=with_ball)
+    assert facts_of(path).facts == Missing("fixed ball is fixed, and neither a plane nor a box")
 
 
 def test_long_steps_excuse_no_depth_at_rest_and_no_energy(tmp_path: Path) -> None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import pytest
 
 from gpusimbench.evaluator.diff.words import length
+from gpusimbench.evaluator.render.numbers import distance_bound, mean_sd
 from gpusimbench.evaluator.report.words import size
+from gpusimbench.evaluator.results.group_metrics import W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.schemas.text import bound, percent
 
 
@@ -21,13 +24,27 @@ def test_a_share(share: float, shown: str) -> None:
     assert percent(share) == shown
 
 
-@pytest.mark.parametrize("runs", [2, 3, 10, 100, 1000, 100_000])
+@pytest.mark.parametrize("runs", [2, 3, 4, 10, 100, 1000, 100_000])
 def test_an_upper_bound(runs: int) -> None:
-    """Round no small bound down: of a thousand runs that agree, 0.3 % is not 0 %."""
+    """Round no bound down: 28.3 % of ten runs that agree is 29 %, and 0.3 % of a thousand is not 0 %."""
     below = 1 - 0.05 ** (1 / (runs - 1))
     shown = float(bound(below).removesuffix(" %")) / 100
-    assert shown == pytest.approx(below, rel=0.04) and (shown >= below or below > 0.095)
-    assert bound(0.0) == "0 %"
+    assert below <= shown + 1e-12 and shown == pytest.approx(below, rel=0.04)
+
+
+def test_upper_bounds_that_need_no_rounding() -> None:
+    """Show what has no more digits as it is, whichever way floating point rounds 100 times it."""
+    shares = (0.0, 0.07, 0.29, 0.57, 0.095, 0.0995, 1.0)
+    assert [bound(share) for share in shares] == ["0 %", "7 %", "29 %", "57 %", "9.5 %", "10 %", "100 %"]
+
+
+def test_bounds_of_a_distance() -> None:
+    """Round upper bounds up and lower bounds down, and leave what needs no rounding."""
+    values = (0.5031, 0.503, 12.9996, 3.14e-5, 0.0)
+    assert [distance_bound(value, upper=True) for value in values] == ["0.504", "0.503", "13.000", "3.2e-05", "0"]
+    assert [distance_bound(value, upper=False) for value in values] == ["0.503", "0.503", "12.999", "3.1e-05", "0"]
+    certified = Estimate(W1_RUN_TO_RUN, 0.5031, n=1, exactness="certified")
+    assert mean_sd(certified) == "<= 0.504"
 
 
 def test_an_amount_that_rounds_up_to_the_next_unit() -> None:

@@ -71,6 +71,22 @@ def test_places_are_by_throughput_within_scene_and_device(runs: Path, tmp_path: 
     }  # fmt: skip
 
 
+def test_places_that_may_be_one(runs: Path, tmp_path: Path) -> None:
+    """Say of a place that its throughput is not shown to be lower than that of the place above."""
+    for run, noise in enumerate((0.99, 1.0, 1.01)):
+        for name, seconds in (("first", 2.0), ("second", 2.01), ("third", 2.2)):
+            write(runs, simulator=name, run=run, elapsed_s=seconds * noise, name=f"{name}{run}.mcap")
+    write(runs, simulator="once", elapsed_s=2.24)
+    document = made(tmp_path, runs)
+    (section,) = document["sections"]
+    assert [(row["simulator"], row["place"], row["equals"]) for row in section["rows"]] == [
+        ("first", 1, None), ("second", 2, 1), ("third", 3, None), ("once", 4, 3),
+    ]  # fmt: skip
+    page = (tmp_path / "board" / "index.html").read_text()
+    assert page.count("not shown to be slower than place 1") == 2  # who is first, and the ranking
+    assert "not shown to be slower than place 3" in page
+
+
 def test_a_place_is_by_the_slowest_outcome(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Place runs whose throughput goes with their outcome by the slowest, though their mean is higher."""
     for run in range(10):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from gpusimbench.evaluator.compare.counted import compare_mechanics, compare_validity
 from gpusimbench.evaluator.compare.finding import DIFFERENT, FAILING, Change, Finding, Settings
@@ -17,12 +18,13 @@ from gpusimbench.evaluator.compare.outcome import (
     has_positions,
     joint_distances,
 )
-from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
+from gpusimbench.evaluator.compare.sameness import all_alike, apart_by_chance, compare_bits, compare_determinism
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.groups import status_notes
 from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.text import plural
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,14 @@ def trace(found: Points, settings: Settings, work: Work, *, gated: bool = False)
     copies = [f"{point.label}: {note}" for point in found.points for note in point.notes]
     runs = [run for point in found.points for run in point.runs]
     lost = sum(run.status == "incomplete" or bool(run.dropouts) for run in runs)
-    told = (*found.notes, *copies, *notes, *_of_machines(traced, found.points), *_of_runs(series, found.points))
+    told = (
+        *found.notes,
+        *copies,
+        *notes,
+        *_of_states(series, found.points),
+        *_of_machines(traced, found.points),
+        *_of_runs(series, found.points),
+    )
     return History(found.points, tuple(traced), settings, gated, tests, lost, told)
 
 
@@ -184,6 +193,24 @@ def _certain(before: Entry, after: Entry, settings: Settings, work: Work) -> Ite
             ]
         found += [*compare_determinism(one, other), compare_bits(one.runs, other.runs)]
     yield from (item for item in found if isinstance(item, Finding))
+
+
+def _of_states(series: Sequence[Series], points: Sequence[Point]) -> Iterator[str]:
+    """Neighbouring points whose states differ, which is no change as long as a point has a single run."""
+    for one in series:
+        apart = [
+            (before, after, since)
+            for before, after in pairwise(one.entries)
+            if (since := apart_by_chance(before.runs.runs, after.runs.runs)) is not None
+        ]
+        if apart:
+            before, after, since = apart[-1]
+            more = f", and so at {plural(len(apart) - 1, 'earlier point')}" if len(apart) > 1 else ""
+            yield (
+                f"{one.heading}: states of {points[after.point].label} differ from those of "
+                f"{points[before.point].label} from step {since} on{more}; whether runs of one point differ as well is "
+                "not known: record two runs a point"
+            )
 
 
 def _of_runs(series: Sequence[Series], points: Sequence[Point]) -> Iterator[str]:

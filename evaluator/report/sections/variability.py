@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Text, Tone, items, key_of
-from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd
+from gpusimbench.evaluator.render.numbers import NONE, distance_bound, mean_sd
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written, column_of, of_groups, value
 from gpusimbench.evaluator.report.source import Source
@@ -169,7 +169,8 @@ def _bounds(found: Estimate) -> str:
     if not bounds:
         return ""
     pairs = f", of {found.n} pairs drawn with seed 0" if found.exactness == "sampled" else ""
-    return f"{found.exactness}: between {distance(bounds[0])} and {distance(bounds[1])}{pairs}"
+    low, high = distance_bound(bounds[0], upper=False), distance_bound(bounds[1], upper=True)
+    return f"{found.exactness}: between {low} and {high}{pairs}"
 
 
 def _clamped(metric: Metric) -> Written:

@@ -23,7 +23,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import radius_of, supports_of
 from gpusimbench.evaluator.runs.outcome import OutcomeArray, outcome_of
-from gpusimbench.evaluator.runs.physics.facts import Check, Facts, measured
+from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, measured
 from gpusimbench.evaluator.runs.physics.setting import Setting
 from gpusimbench.evaluator.runs.physics.states import States
 from gpusimbench.evaluator.runs.positions import in_env_frame, no_states
@@ -34,6 +34,8 @@ REST = 0.01
 """Speed of every point of a body that counts as lying still [m/s]."""
 
 _CHECKS = (Check.DEPTH_REST, Check.DEPTH_EVER, Check.PAIR_REST, Check.PAIR_EVER)
+
+_ALONE = Missing("a single body moves")
 
 Mask = npt.NDArray[np.bool_]
 
@@ -49,6 +51,7 @@ class Depths:
         self._balls = [i for i, body in enumerate(bodies) if body.radius]
         self._cubes = [i for i, body in enumerate(bodies) if body.half]
         self._half = np.array([bodies[i].half for i in self._cubes])
+        self._radius = np.array([bodies[i].radius for i in self._balls])
         self._fixed = self._pair = np.zeros(0)  # of what touches nothing, zero
         self._resolution = 0.0
         self._last: States | None = None
@@ -82,9 +85,10 @@ class Depths:
             return dict.fromkeys(checks, coarse)
         slack = setting.capped(fastest * setting.dt + setting.fall, "sqrt(2 g H) dt + g dt^2")
         of, note = slack.of, setting.sparse
+        pair = measured(self._pair, low=None, high=0.0, tolerance=slack.size, of=of, note=note)
         return {
             Check.DEPTH_EVER: measured(self._fixed, low=None, high=0.0, tolerance=slack.size, of=of, note=note),
-            Check.PAIR_EVER: measured(self._pair, low=None, high=0.0, tolerance=slack.size, of=of, note=note),
+            Check.PAIR_EVER: pair if len(setting.world.moving) > 1 else _ALONE,
         }
 
     def _at_rest(self, last: States) -> Facts:
@@ -104,12 +108,19 @@ class Depths:
         slack = self._setting.slack(self._setting.fall, rounding, "g dt^2, and rounding")
         if isinstance(slack, Missing):
             return dict.fromkeys(checks, slack)
-        pairs, size = self._pairs_at_rest(end, turn[0], still), slack.size
-        deepest = deep[still.any(axis=1)]
-        return {
-            Check.DEPTH_REST: measured(deepest, low=None, high=0.0, tolerance=size, of=slack.of, note=note),
-            Check.PAIR_REST: measured(pairs, low=None, high=0.0, tolerance=size, of=slack.of),
-        }
+        size, several = slack.size, still.sum(axis=1) > 1
+        facts: dict[Check, Fact] = dict.fromkeys(checks, Missing("the scene has no fixed bodies"))
+        if self._setting.world.fixed:
+            deepest = deep[still.any(axis=1)]
+            facts[Check.DEPTH_REST] = measured(deepest, low=None, high=0.0, tolerance=size, of=slack.of, note=note)
+        if several.any():
+            pairs = self._pairs_at_rest(end[0][several], turn[0][several], still[several])
+            facts[Check.PAIR_REST] = measured(pairs, low=None, high=0.0, tolerance=size, of=slack.of)
+        else:
+            facts[Check.PAIR_REST] = Missing("no two bodies of an environment are at rest at the end")
+        if len(self._setting.world.moving) == 1:
+            facts[Check.PAIR_REST] = _ALONE
+        return facts
 
     def _in_fixed(self, position: Array, turn: Array) -> Array:
         # [row, env, body]
@@ -138,9 +149,11 @@ class Depths:
         if len(self._cubes) > 1:
             _, closest = nearest(cubes.reshape(rows * envs, -1, 3))
             deepest = 2 * self._half.min() - closest.reshape(rows, envs)
-        for ball in self._balls:
-            radius = self._setting.world.moving[ball].radius
-            away = position[:, :, ball, None] - cubes
+        balls = position[:, :, self._balls]
+        for ball, radius in enumerate(self._radius):
+            between = radius + self._radius[:ball] - length(balls[:, :, ball, None] - balls[:, :, :ball])
+            deepest = np.maximum(deepest, between.max(axis=-1, initial=-np.inf))
+            away = balls[:, :, ball, None] - cubes
             close = square(away) < (radius + np.sqrt(3.0) * self._half) ** 2
             if close.any():
                 local = np.einsum("ni,nij->nj", away[close], turn[close])
@@ -150,19 +163,26 @@ class Depths:
                 deepest = np.maximum(deepest, depth.max(axis=-1))
         return np.asarray(deepest.max(axis=0))
 
-    def _pairs_at_rest(self, end: Array, turn: Array, still: npt.NDArray[np.bool_]) -> list[float]:
+    def _pairs_at_rest(self, position: Array, turn: Array, still: Mask) -> list[float]:
+        # exact, of bodies that are both at rest; positions [env, body, 3], rotations of cubes [env, cube, 3, 3]
         found = []
-        centre = end[0][:, self._cubes]
-        for env in range(len(centre)):
-            resting = np.nonzero(still[env, self._cubes])[0]
-            first, second = (resting[i] for i in np.triu_indices(len(resting), 1))
-            apart = np.linalg.norm(centre[env, first] - centre[env, second], axis=-1)
-            near = apart < np.sqrt(3.0) * (self._half[first] + self._half[second])
+        for place, rotation, rests in zip(position, turn, still, strict=True):
+            cubes, balls = place[self._cubes], place[self._balls]
+            first, second = np.triu_indices(len(cubes), 1)
+            near = length(cubes[first] - cubes[second]) < np.sqrt(3.0) * (self._half[first] + self._half[second])
+            near &= rests[self._cubes][first] & rests[self._cubes][second]
             boxes = [
-                (centre[env, i], turn[env, i], np.repeat(self._half[i][:, None], 3, axis=1))
+                (cubes[i], rotation[i], np.repeat(self._half[i][:, None], 3, axis=1))
                 for i in (first[near], second[near])
             ]
-            found.append(float(overlap(boxes[0], boxes[1]).max(initial=0.0)))
+            depths = [overlap(boxes[0], boxes[1])]
+            for ball in np.flatnonzero(rests[self._balls]):
+                radius, centre = self._radius[ball], balls[ball]
+                between = radius + self._radius[:ball] - length(centre - balls[:ball])
+                local = np.einsum("ni,nij->nj", centre - cubes, rotation)
+                inside = radius - box_distance(local, self._half[:, None])
+                depths += [between[rests[self._balls][:ball]], inside[rests[self._cubes]]]
+            found.append(float(np.concatenate(depths).max(initial=0.0)))
         return found
 
 
@@ -241,14 +261,18 @@ def count_sunk(recording: Recording) -> Sunk | Missing:
         return Missing("heights were not recorded")
     n_env, cubes = last.shape[:2]
     last_step = int(array.steps[-1])
+    lost = Missing("a position is not finite at the last captured step: whether that body sank is not known")
+    known = bool(np.isfinite(last).all())
     radius = max(radius_of(recording, field.group) for field in fields)
     if not may_have_sunk(last, supports, radius):
-        return Sunk((0,) * n_env, cubes, last_step, None)
+        return Sunk((0,) * n_env, cubes, last_step, None) if known else lost
     following = Sinking(in_env_frame(recording, array.field, array.at_step(int(array.steps[0]))), supports, radius)
     count = max(1, _ROW_BYTES // last.nbytes)
     for begin in range(1, len(array), count):
         for row in array.read(slice(begin, begin + count)):
             following.feed(in_env_frame(recording, array.field, row))
     found = following.sank
+    if not (known or found.any()):
+        return lost
     first = int(array.steps[following.since[found].min()]) if found.any() else None
     return Sunk(tuple(np.count_nonzero(found, axis=1).tolist()), cubes, last_step, first)

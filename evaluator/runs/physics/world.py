@@ -132,14 +132,20 @@ def world_of(recording: Recording, items: Sequence[tuple[str, str]]) -> World | 
             body = described.get(key)
             if body is None or body.get("mass") is None:
                 return Missing(f"the scene does not describe {key[1]}")
-            made = _moving(key[1], body)
-            if isinstance(made, Missing):
-                return made
-            moving.append(made)
-        fixed = [_fixed(body) for body in described.values() if body.get("mass") is None]
+            mover = _moving(key[1], body)
+            if isinstance(mover, Missing):
+                return mover
+            moving.append(mover)
+        fixed = []
+        for (_, name), body in described.items():
+            if body.get("mass") is None:
+                made = _fixed(name, body)
+                if isinstance(made, Missing):
+                    return made
+                fixed.append(made)
         parameters = checks.mapping(scene, "parameters") if "parameters" in scene else {}
         rebounds = parameters.get("restitution_known") is not False
-        return World(tuple(moving), tuple(body for body in fixed if body is not None), -z, rebounds)
+        return World(tuple(moving), tuple(fixed), -z, rebounds)
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path}: {error}") from None
 
@@ -168,7 +174,7 @@ def _moving(name: str, body: dict[str, Any]) -> Moving | Missing:
     )
 
 
-def _fixed(body: dict[str, Any]) -> FixedBody | None:
+def _fixed(name: str, body: dict[str, Any]) -> FixedBody | Missing:
     shape = checks.mapping(body, "shape")
     centre = np.array(_bounded(body.get("position"), 3, "a body's position"))
     quaternion = np.array(_bounded(body.get("orientation", [1.0, 0.0, 0.0, 0.0]), 4, "a body's orientation"))
@@ -178,7 +184,7 @@ def _fixed(body: dict[str, Any]) -> FixedBody | None:
         return FixedBody(HalfSpace(centre, rotation[:, 2]), _surface(body), level)
     if shape.get("kind") == "box":
         return FixedBody(FixedBox(centre, rotation, np.array(_size(shape)) / 2.0), _surface(body), level)
-    return None
+    return Missing(f"{name} is fixed, and neither a plane nor a box")
 
 
 def _bounded(value: Any, size: int, what: str) -> tuple[float, ...]:

@@ -95,7 +95,13 @@ def _leader(row: Standing | None) -> Cell:
     name = (row.name,) if row.name != row.key.simulator else ()
     envs = plural(row.key.n_env, "env", spec=",")
     told = f"{envs}, {row.key.version or 'no version'}, determinism {row.key.determinism}"
-    return Cell(f"{row.key.simulator}: {speed.text}", range=speed.range, notes=(*name, told, *speed.notes))
+    notes = (*name, told, *speed.notes, *_equals(row))
+    return Cell(f"{row.key.simulator}: {speed.text}", range=speed.range, notes=notes)
+
+
+def _equals(row: Standing) -> tuple[str, ...]:
+    """What must be known of a place: that it may be the same as the one above it."""
+    return () if row.equals is None else (f"not shown to be slower than place {row.equals}",)
 
 
 def _barred(section: Section) -> Cell:
@@ -167,7 +173,8 @@ def _ranking(key: str, section: Section) -> Table:
     for row in section.ranked:
         most, ends = formats.n_env_max(row)
         cells = (
-            _who(row), Cell(str(row.place), float(row.place or 0)), _speed(row), _envs(row), _memory(row),
+            _who(row), Cell(str(row.place), float(row.place or 0), notes=_equals(row)), _speed(row), _envs(row),
+            _memory(row),
             Cell(most, notes=(ends,)) if most else EMPTY,
             *(question.answer([row.result]) for question in QUESTIONS),
             _checked(row), _reproduced(row),
@@ -274,7 +281,11 @@ def _explained() -> Iterator[str]:
         "in every scene. Runs that failed are named. A throughput that breaks a rule of "
         f"{PROTOCOL} on the timed window or on evidence of work has no place: the world may have been at rest."
     )
-    yield "Intervals are 95 %, over runs. Without an interval there are too few runs, and two places may be one."
+    yield (
+        "Intervals are 95 %, over runs. A row is not shown to be slower than the row above it where the interval of "
+        "the ratio of their throughputs contains 1, or, with fewer than three runs a side, where the ratio is above "
+        "0.95: then the two places may be one."
+    )
     yield "Repeats itself, envs alike: whether state hashes of runs, or of environments, differ at any captured step."
     yield (
         "Whole means that all of a file was read: every CRC, every digest, the content hash, clocks, hashes and states "

@@ -185,7 +185,7 @@ def _section(section: Section) -> dict[str, Any]:
 def _row(row: Row) -> dict[str, Any]:
     key, metrics = row.key, row.result.metrics
     return {
-        **picked(row, "place no_place"),
+        **picked(row, "place equals no_place"),
         "label": row.result.label,
         **picked(key, "simulator version determinism"),
         "options": json.loads(key.options),

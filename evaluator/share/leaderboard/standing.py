@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.results.cost_metrics import common_memory, ranked_throughput
+from gpusimbench.evaluator.results.cost_metrics import common_memory, ranked_throughput, shown_slower
 from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults, faults_anywhere
@@ -55,6 +56,8 @@ class Row:
     sweep         that it is a point of; None where it is in none
     place         in its section, from 1; None where it has none, and `no_place` says why
     gates         what did not hold, a sentence each
+    equals        place of the row above it, where its throughput is not shown to be lower than that of the row above;
+                  else None
     """
 
     result: GroupResult
@@ -64,6 +67,7 @@ class Row:
     place: int | None
     no_place: str
     gates: tuple[str, ...]
+    equals: int | None = None
 
     @property
     def key(self) -> GroupKey:
@@ -244,7 +248,15 @@ def _placed(rows: Sequence[Row]) -> tuple[Row, ...]:
         best.setdefault(sweep_key(row.key), row)
     ordered = list(best.values())
     speeds = [ranked_throughput(row.fps) for row in ordered]
-    placed = [replace(row, place=speeds.index(speed) + 1) for row, speed in zip(ordered, speeds, strict=True)]
+    places = [speeds.index(speed) + 1 for speed in speeds]
+    equal = [
+        None,
+        *(
+            None if shown_slower(low.fps, high.fps) else at
+            for (high, low), at in zip(pairwise(ordered), places, strict=False)
+        ),
+    ]
+    placed = [replace(row, place=at, equals=other) for row, at, other in zip(ordered, places, equal, strict=False)]
     chosen = {row.result.label for row in ordered}
     others = [row for row in rows if row.result.label not in chosen]
     return (*placed, *(row for row in others if not row.no_place), *(row for row in others if row.no_place))
