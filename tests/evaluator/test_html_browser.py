@@ -13,7 +13,7 @@ import pytest
 from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.document import Figure
 from gpusimbench.evaluator.render.figures import matrix, palette, style
-from gpusimbench.evaluator.report.document import TITLE, report
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import write_html
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
@@ -64,7 +64,7 @@ def test_the_page_fits(browser: Browser, page: Path, width: int, dark: bool) -> 
         && e.getBoundingClientRect().right > {width} + 0.5).map(e => e.outerHTML.slice(0, 80))"""
     assert browser.evaluate(beyond) == []
     assert (browser.errors, browser.requests) == ([], [])
-    assert browser.evaluate("document.title") == TITLE
+    assert browser.evaluate("document.title") == "Which simulator repeats itself, which is right, and how fast is each?"
 
 
 def test_the_page_can_be_read_at_four_hundred_per_cent(browser: Browser, page: Path) -> None:
@@ -179,7 +179,7 @@ def test_other_scripts_are_refused(browser: Browser, page: Path, tmp_path: Path)
     bad = '<script>document.title = "taken"</script><img src="https://x.example/a" onerror="document.title = 1">'
     spoilt.write_text(text.replace("</body>", bad + "</body>").replace("// Saves", "// saves"), encoding="utf-8")
     browser.open(spoilt)
-    assert browser.evaluate("document.title") == TITLE
+    assert browser.evaluate("document.title") == "Which simulator repeats itself, which is right, and how fast is each?"
     assert browser.evaluate("document.querySelector('.files').hidden")
     assert len(browser.errors) >= 3
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.render.document import Facts, Items, Section, Table, Tone, walk
-from gpusimbench.evaluator.report.document import TITLE, report
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.sections import provenance, recordings, throughput, validity
 from gpusimbench.evaluator.report.sections.mechanics import remarks
 from gpusimbench.evaluator.report.source import Source
@@ -130,7 +130,7 @@ def test_columns_that_are_empty_for_one_reason_share_a_line(alone: Source) -> No
 
 def test_one_simulator_alone_is_asked_for_by_name(source: Source, alone: Source) -> None:
     """Ask of one simulator whether it repeats itself, and say on the first screen how fast it is."""
-    assert report(source).title == TITLE
+    assert report(source).title == "Which simulator repeats itself, which is right, and how fast is each?"
     document = report(alone)
     assert document.title == "Does one repeat itself, is it right, and how fast is it?"
     first = [block for block in document.blocks if not isinstance(block, Section)]

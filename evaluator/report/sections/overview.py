@@ -17,6 +17,7 @@ from gpusimbench.evaluator.render.document import (
     Items,
     Row,
     Table,
+    Text,
     Tone,
     facts,
     key_of,
@@ -26,6 +27,7 @@ from gpusimbench.evaluator.render.numbers import ranked
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, not_ranked
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.timed import TOO_SHORT
 from gpusimbench.evaluator.report.verdicts import LAWS, NOT_COMPARED, QUESTIONS, TO_REFERENCE, judged, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -47,6 +49,8 @@ _HOW_TO_READ = (
     "another group of the simulator with its shape and colour. †: timed or run in another way than others."
 )
 
+_NOT_TIMED = (Text("Throughput was not measured: no recording has a timed phase.", Tone.QUIET),)
+
 _ROOMY = 4
 """Simulators at most, for whom every cell of the first screen has a line for each of its notes."""
 
@@ -56,7 +60,7 @@ def overview(source: Source) -> tuple[Block, ...]:
     evaluation = source.evaluation
     figure, fastest_table = tuple(_scatter(evaluation)), tuple(_fastest_table(evaluation.results))
     below: list[Block] = [Beside((figure, fastest_table))] if figure and fastest_table else [*figure, *fastest_table]
-    speed = _speed_alone(evaluation.results)
+    speed = _speed_alone(evaluation.results) if evaluation.timed else _NOT_TIMED
     return (Items((_state_of_the_set(evaluation),)), _matrix(evaluation), *speed, *below)
 
 
@@ -182,7 +186,9 @@ def _speed_alone(results: Sequence[GroupResult]) -> Iterator[Facts]:
 
 def _speed(result: GroupResult) -> Cell:
     said = ranked(result.metrics[FPS.name])
-    return replace(said, notes=(f"{result.label}, {plural(result.group.key.n_env, 'env', spec=',')}", *said.notes))
+    brief = (TOO_SHORT,) if result.timed.unreliable else ()
+    named = f"{result.label}, {plural(result.group.key.n_env, 'env', spec=',')}"
+    return replace(said, notes=(named, *said.notes, *brief))
 
 
 def _where(found: Fastest) -> Cell:
@@ -206,4 +212,6 @@ def _barred(found: Fastest, results: Sequence[GroupResult]) -> Cell:
         for why, those in by_kind.items()
     }
     notes = [why if len(names) == 1 else f"{', '.join(those)}: {why}" for why, those in names.items()]
-    return Cell(", ".join(name for those in names.values() for name in those), notes=tuple(notes), tone=Tone.BAD)
+    speeds = [r.metrics[FPS.name] for those in by_kind.values() for r in those]
+    listed = zip((name for those in names.values() for name in those), map(ranked, speeds), strict=True)
+    return Cell("; ".join(f"{name}: {fps.text}" for name, fps in listed), notes=tuple(notes), tone=Tone.BAD)
