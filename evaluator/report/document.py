@@ -72,6 +72,7 @@ reason stand for it."""
 _OF_BODIES = (mechanics.section, playback.section, density.section, consistency.section)
 """Sections that nobody misses in a report on tasks, of which no bodies were recorded."""
 
+
 def report(source: Source) -> Document:
     """All that an evaluation says."""
     made_by: tuple[Block, ...] = (
