@@ -67,6 +67,23 @@ def test_the_page_fits(browser: Browser, page: Path, width: int, dark: bool) -> 
     assert browser.evaluate("document.title") == "Which simulator repeats itself, which is right, and how fast is each?"
 
 
+@pytest.mark.parametrize("width", [420, 1280])
+def test_opened_rows_keep_their_notes(browser: Browser, tmp_path: Path, width: int) -> None:
+    """Keep what an opened row says within its cells, and each table within the page, on a page of real recordings."""
+    runs = sorted((Path(__file__).resolve().parents[2] / "recordings").glob("mujoco-*.mcap"))
+    browser.open(write_html(evaluate_files(runs), tmp_path, published=False, command="gsb-eval"), width=width)
+    browser.click("[name=open]")
+    beyond = """[...document.querySelectorAll('.rows small')].filter(note => note.getClientRects().length
+        && note.getBoundingClientRect().right > note.closest('td, th').getBoundingClientRect().right + 1)
+        .map(note => note.textContent)"""
+    assert browser.evaluate("document.querySelectorAll('details.row[open]').length") > 0
+    assert browser.evaluate(beyond) == []
+    wide = (
+        "[...document.querySelectorAll('.table')].filter(t => t.scrollWidth > t.clientWidth + 1).map(t => t.ariaLabel)"
+    )
+    assert browser.evaluate(wide) == []
+
+
 def test_the_page_can_be_read_at_four_hundred_per_cent(browser: Browser, page: Path) -> None:
     """Lay the page out anew where a reader zooms in (WCAG 1.4.10), with no text cut off."""
     browser.open(page, width=1280, zoom=4)

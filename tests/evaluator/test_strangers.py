@@ -269,6 +269,14 @@ def test_poor_outputs(gsb_eval: Command, small: Path, encoding: str, redirect: b
     assert "Traceback" not in done.stderr
 
 
+def test_signs_that_an_encoding_lacks_keep_their_meaning(gsb_eval: Command) -> None:
+    """Print a spread as a spread where there is no plus-minus sign, and no question mark in a number."""
+    runs = sorted((Path(__file__).resolve().parents[2] / "recordings").glob("mujoco-amd-r*.mcap"))
+    done = gsb_eval(*runs, env={**os.environ, "PYTHONIOENCODING": "ascii"}, code=0)
+    assert "11,889 +- 906" in done.stdout
+    assert "?" not in done.stdout
+
+
 def test_env_local_positions_are_not_shifted_again(gsb_eval: Command, tmp_path: Path) -> None:
     """Leave coordinates alone that are declared relative to the env's origin."""
     origins = ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0))
