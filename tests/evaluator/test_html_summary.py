@@ -271,7 +271,19 @@ def test_the_first_screen_asks_for_no_speed_that_nobody_measured(tmp_path: Path)
         write_recording(tmp_path, grid(2), simulator=name, elapsed_s=None)
     document = report(Source(evaluate_files(sorted(tmp_path.glob("*.mcap"))), False, ""))
     assert document.title == "Which simulator repeats itself, and which is right?"
-    assert any(isinstance(one, Text) and "Throughput was not measured" in one.text for one in document.blocks)
+    said = [one.text for one in document.blocks if isinstance(one, Text)]
+    assert "Not compared: repeats itself (needs at least two complete runs)." in said
+    assert "Throughput was not measured: no recording has a timed phase." in said
+
+
+def test_a_speed_without_a_rival_is_on_the_first_screen(tmp_path: Path) -> None:
+    """Show how fast the only simulator of a scene is, where others were timed in another scene."""
+    for name, elapsed_s in (("slow", 4.0), ("fast", 2.0)):
+        write_recording(tmp_path, grid(2), simulator=name, elapsed_s=elapsed_s, proven=True)
+    write_recording(tmp_path, None, n_env=2, simulator="slow", scene="franka", elapsed_s=8.0)
+    blocks = report(Source(evaluate_files(sorted(tmp_path.glob("*.mcap"))), False, "")).blocks
+    (speeds,) = [block for block in blocks if isinstance(block, Facts)]
+    assert [(name, cell.text) for name, cell in speeds.pairs] == [("throughput, franka [env-steps/s]", "250")]
 
 
 def test_a_long_command_is_closed(tmp_path: Path) -> None:
