@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -105,6 +107,18 @@ def test_provenance_is_closed_by_simulator(source: Source, alone: Source) -> Non
     few = provenance.section(alone)
     assert few is not None
     assert len(closed(few)) == 3
+
+
+def test_runs_of_one_machine_are_named_by_ranges(tmp_path: Path) -> None:
+    """Head the machine of many runs with the first and the last of them, not with a line of numbers."""
+    for run in range(6):
+        write_recording(tmp_path, grid(1), run=run, cpu="a" if run < 5 else "b")
+    found = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    section = provenance.section(Source(found, False, ""))
+    assert section is not None
+    titles = [part.title for part in walk(section.blocks) if isinstance(part, Section)]
+    said = [title for title in titles if title.startswith("Machine and software")]
+    assert said == ["Machine and software of runs 0\u20134", "Machine and software of run 5"]
 
 
 def test_a_scene_without_a_complete_run_has_no_table(source: Source) -> None:
