@@ -86,6 +86,12 @@ def plural(number: int, what: str, several: str = "", *, spec: str = "") -> str:
     return f"{number:{spec}} {what if number == 1 else several or f'{what}s'}"
 
 
+def ordinal(number: int) -> str:
+    """A place in a row: "1st", "2nd", "3rd", "4th", "11th", "22nd"."""
+    ends = {1: "st", 2: "nd", 3: "rd"}
+    return f"{number}{'th' if number // 10 % 10 == 1 else ends.get(number % 10, 'th')}"
+
+
 def percent(share: float) -> str:
     """A share in whole percent; 0 % and 100 % are said of exact values alone."""
     if 0 < share < 0.005:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.render.console import Screen, plain_table
 from gpusimbench.schemas import text as texts
-from gpusimbench.schemas.text import block, cut, few, first, line, plural, printable
+from gpusimbench.schemas.text import block, cut, few, first, line, ordinal, plural, printable
 
 _ROOT = Path(__file__).parents[1]
 _HIDDEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
@@ -109,6 +109,12 @@ def test_a_screen_shows_lines(rows: list[tuple[str, str]], width: int) -> None:
     shown = stream.getvalue().split("\n")
     assert not any(one.startswith("FORGED") for one in shown)
     assert not any(unicodedata.category(c) in _HIDDEN for one in shown for c in one)
+
+
+def test_places_in_a_row() -> None:
+    """End a place in a row as one says it."""
+    said = "1st 2nd 3rd 4th 10th 11th 12th 13th 21st 22nd 23rd 100th 101st 111th 113th"
+    assert " ".join(map(ordinal, (1, 2, 3, 4, 10, 11, 12, 13, 21, 22, 23, 100, 101, 111, 113))) == said
 
 
 def test_documents_are_no_commands(capsys: pytest.CaptureFixture[str]) -> None:

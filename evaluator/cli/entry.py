@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import codecs
 import io
 import os
 import shlex
@@ -21,6 +22,23 @@ from gpusimbench.schemas.text import line, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.render.document import Document
+
+_SIGNS = "gpusimbench-signs"
+"""Of `codecs`: what a stream writes for a sign that its encoding does not have."""
+
+_IN_ASCII = {
+    "±": "+-", "µ": "u", "×": "x", "−": "-", "–": "-", "≤": "<=", "≥": ">=", "→": "->", "…": "...", "†": "+", "·": ".",
+    "°": " deg", **dict(zip("▁▂▃▄▅▆▇█", "12345678", strict=True)),
+}  # fmt: skip
+
+
+def _without_signs(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(_IN_ASCII.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
+
+
+codecs.register_error(_SIGNS, _without_signs)
 
 _NO_THREAD = "can't start new thread"
 """What Python says of a thread whose stack finds no memory."""
@@ -46,7 +64,7 @@ def enter(
     arguments = parser.parse_args(given)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without ± still gets its table
+            stream.reconfigure(errors=_SIGNS)  # a terminal without ± still gets its table
     try:
         with warnings.catch_warnings():
             # states may be of any size, or not finite: the results say so, and no library beside them

@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from gpusimbench.evaluator.diff.result import Change, Difference, Divergence
+from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff.result import Change, Difference, Divergence, Growth
 from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.render.figures import axis, lines, palette
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, open_path, text, title
-from gpusimbench.schemas.text import printable
+from gpusimbench.schemas.text import plural, printable
 
 _WIDTH, _LEFT, _RIGHT = 640.0, 84.0, 20.0
 _SIDE = _WIDTH - _LEFT - _RIGHT
-_TOP, _UPPER, _GAP, _LOWER, _BOTTOM = 44.0, 230.0, 30.0, 90.0, 46.0
+_TOP, _UPPER, _GAP, _LOWER, _BOTTOM, _MARGIN = 44.0, 230.0, 30.0, 90.0, 46.0, 8.0
 _HEIGHT = _TOP + _UPPER + _GAP + _LOWER + _BOTTOM
-_MARKS = ((1e-3, "1 mm"), (1e-2, "1 cm"))
-_MARKED_POINTS = 40  # more would hide the line
+_MARKED_POINTS = 20  # of a line at most; more would hide the line
 
 _STYLE = """
 :root { LIGHT }
@@ -40,18 +40,21 @@ def figure_of(found: Difference) -> str:
         return ""
     times = _times(found)
     style = _STYLE.replace("LIGHT", palette.variables(dark=False)).replace("DARK", palette.variables(dark=True))
+    series = _series(found.growth) if found.growth else []
+    legend, below = lines.legend([(index, name) for index, name, _ in series], _LEFT, _HEIGHT, _SIDE)
     parts = [
         element("style", style.replace("RULES", palette.rules())),
         text(f"a: {found.a.label}, {found.a.path.name}", _LEFT, 16, class_="small"),
         text(f"b: {found.b.label}, {found.b.path.name}", _LEFT, 31, class_="small"),
-        *_distances(found, times),
+        *_distances(found, times, series),
         *_equal(found, found.first, times),
+        legend,
     ]
     said = (
         "Distance of bodies and number of equal pairs of environments against simulated time; the first difference is "
         f"at {found.first.time:g} s"
     )
-    drawn = figure(_WIDTH, _HEIGHT, said, *parts)
+    drawn = figure(_WIDTH, _HEIGHT + below + (_MARGIN if series else 0.0), said, *parts)
     return drawn.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
 
 
@@ -68,19 +71,28 @@ def _x(time: float, times: tuple[float, float]) -> float:
     return _LEFT + _SIDE * (time - times[0]) / (times[1] - times[0])
 
 
-def _distances(found: Difference, times: tuple[float, float]) -> list[str]:
+def _series(growth: Growth) -> list[tuple[int, str, Sequence[float | None]]]:
+    # index, name and distance [m] at each step of the lines that have a point
+    if growth.fallen and growth.max_not_fallen:
+        # bodies in free fall move metres apart, and would press all others into a corner of the figure
+        fallen = plural(growth.fallen, "fallen body", "fallen bodies")
+        largest = [(f"max, 3D, without {fallen}", growth.max_not_fallen)]
+    else:
+        largest = [("max, 3D", growth.max_spatial), ("max, planar", growth.max_planar)]
+    named = [*largest, ("median, 3D", growth.median_spatial), ("median, planar", growth.median_planar)]
+    return [(index, name, values) for index, (name, values) in enumerate(named) if any(values)]
+
+
+def _distances(
+    found: Difference, times: tuple[float, float], series: Sequence[tuple[int, str, Sequence[float | None]]]
+) -> list[str]:
     growth, bottom = found.growth, _TOP + _UPPER
     frame = axis.frame(_LEFT, _TOP, _SIDE, _UPPER)
-    series = (
-        [("max, 3D", growth.max_spatial), ("max, planar", growth.max_planar),
-         ("median, 3D", growth.median_spatial), ("median, planar", growth.median_planar)]
-        if growth else []
-    )  # fmt: skip
-    positive = [d for _, values in series for d in values if d]
-    if not growth or not positive:
+    if not growth or not series:
         why = why_missing(growth) or "no recorded position differs"
         return [frame, text(f"no distances: {why}", _LEFT + _SIDE / 2, _TOP + _UPPER / 2, class_="mid")]
-    low, high = min(*positive, 1e-4) / 2, max(*positive, 1e-2) * 2
+    positive = [d for _, _, values in series for d in values if d]
+    low, high = min(positive) / 2, max(positive) * 2
 
     def y(distance: float) -> float:
         return bottom - _UPPER * math.log(distance / low) / math.log(high / low)
@@ -88,19 +100,12 @@ def _distances(found: Difference, times: tuple[float, float]) -> list[str]:
     parts = []
     for tick in axis.log_ticks(low, high):
         parts.append(element("line", x1=_LEFT, x2=_LEFT + _SIDE, y1=y(tick), y2=y(tick), class_="faint"))
-        parts.append(axis.left(_LEFT, y(tick), f"{tick:g}"))
-    for size, name in _MARKS:
-        parts.append(text(name, _LEFT + _SIDE - 4, y(size) - 3, class_="small end over"))
-    for index, (name, values) in enumerate(series):
+        parts.append(axis.left(_LEFT, y(tick), words.length(tick)))
+    for index, name, values in series:
         points = [(_x(t, times), y(d)) for t, d in zip(growth.times, values, strict=True) if d]
-        if points:
-            marks = [lines.mark(index, *p) for p in points] if len(points) <= _MARKED_POINTS else []
-            parts.append(element("g", title(printable(name)), lines.path(index, open_path(points)), *marks))
-        place = _LEFT + 10, _TOP + 16 + 16 * index
-        parts.append(lines.path(index, f"M{number(place[0])} {number(place[1])}h26"))
-        parts.append(lines.mark(index, place[0] + 13, place[1]))
-        parts.append(text(name, place[0] + 34, place[1] + 4, class_="small over"))
-    return [frame, *parts, text("distance [m]", 14, _TOP + _UPPER / 2, class_="mid", rotate=-90)]
+        marks = [lines.mark(index, *p) for p in points[:: -(-len(points) // _MARKED_POINTS)]]
+        parts.append(element("g", title(printable(name)), lines.path(index, open_path(points)), *marks))
+    return [frame, *parts, text("distance of bodies", 14, _TOP + _UPPER / 2, class_="mid", rotate=-90)]
 
 
 def _equal(found: Difference, divergence: Divergence, times: tuple[float, float]) -> list[str]:
@@ -123,7 +128,7 @@ def _equal(found: Difference, divergence: Divergence, times: tuple[float, float]
 
 def _titles(top: float, bottom: float) -> list[str]:
     return [
-        text("equal pairs", 14, top + _LOWER / 2, class_="mid", rotate=-90),
+        text("equal env pairs", 14, top + _LOWER / 2, class_="mid", rotate=-90),
         text("simulated time [s]", _LEFT + _SIDE / 2, bottom + 36, class_="mid"),
     ]
 

@@ -22,7 +22,7 @@ from gpusimbench.evaluator.player.poses import (
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import NothingComparable, UsageError
 from gpusimbench.schemas.provenance import engine_name
-from gpusimbench.schemas.text import printable
+from gpusimbench.schemas.text import ordinal, printable
 
 MOST_SHOWN = 8
 """Environments at a time; there are as many colours that every reader can keep apart."""
@@ -304,7 +304,7 @@ def _notes(
         notes.append(f"changes of classes after step {seen.steps[-1]} are not shown: there are too many")
     strides = sorted({recording.configuration.stride for recording in recordings})
     if strides != [1]:
-        told = " or ".join(f"{stride}th" for stride in strides if stride > 1)
+        told = " or ".join(ordinal(stride) for stride in strides if stride > 1)
         notes.append(f"states were recorded at every {told} step only; in between, the last recorded state is shown")
     if any(len(track.steps) < len(rows[track.recording]) for track in tracks):
         kept = ", ".join(dict.fromkeys(f"{len(t.steps)} of {len(rows[t.recording])}" for t in tracks))

@@ -15,7 +15,7 @@ from gpusimbench.evaluator.player.encode import RESOLUTION_M, RESOLUTION_QUATERN
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.figures import palette
 from gpusimbench.evaluator.render.templating import allowed, page_templates
-from gpusimbench.schemas.text import few, printable
+from gpusimbench.schemas.text import few, ordinal, printable
 
 _HERE = Path(__file__).parent
 _MOST_SPLITS = 8
@@ -130,7 +130,7 @@ def _facts(recording: Recording) -> Iterator[tuple[str, str]]:
         yield "device", s.device
     yield "scene", c.scene
     yield "environments", str(c.n_env)
-    yield "steps", f"{c.steps} of {c.dt:g} s{'' if c.stride == 1 else f', states of every {c.stride}th'}"
+    yield "steps", f"{c.steps} of {c.dt:g} s{'' if c.stride == 1 else f', states of every {ordinal(c.stride)}'}"
     yield "determinism", c.determinism
     yield "run", str(c.run_index)
     yield "status", f"{recording.status}{': ' if recording.reason else ''}{recording.reason}"

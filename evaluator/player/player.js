@@ -27,7 +27,8 @@ class Player {
     jump("next", () => this.split(1));
     this.at.addEventListener("input", () => this.jump(Number(this.at.value)));
     this.part("clips").addEventListener("change", (event) => this.show(Number(event.target.value)));
-    this.root.addEventListener("keydown", (event) => this.key(event));
+    // a page of its own needs no click before its keys work; beside other content they are the player's alone
+    (this.root.closest("main.alone") ? document : this.root).addEventListener("keydown", (event) => this.key(event));
   }
 
   // begin with a clip

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.pairs import Found
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.schemas.text import few
+from gpusimbench.schemas.text import few, plural
 
 
 class Answer(StrEnum):
@@ -58,7 +58,8 @@ def verdict_of(findings: Sequence[Finding], *, named: int = 0) -> str:
     """
     asked = [one for one in findings if one.answer is not Answer.NOT_ASKED]
     yes = [one.title for one in asked if one.answer is Answer.YES]
-    said = f"{len(yes)} of {len(asked)} answers are yes" if asked else "nothing was asked"
+    verb = "is" if len(yes) == 1 else "are"
+    said = f"{len(yes)} of {plural(len(asked), 'answer')} {verb} yes" if asked else "nothing was asked"
     parts = [f"{said} ({few(yes, named)})" if yes and named else said]
     for answer in (Answer.NO, Answer.OPEN):
         if titles := [one.title for one in findings if one.answer is answer]:

@@ -49,11 +49,12 @@ FIRST_ROWS = 25
 _OPEN_ROWS = 4  # a table of more rows has each on a line, until a reader opens the row
 _FIRST_FIGURES = 6
 _FIRST_ITEMS = 8
+_LONG_CODE, _SHOWN_CODE = 1000, 60  # characters of commands: of longer ones a page shows so many
 _SHORT_LEGEND = 2  # lines; of more, a page shows that there are some
 _LONG = 48  # characters of a cell that are cut to what its line has room for
 _ROOM = 152  # characters of a row on a page of 1280 pixels
 _GAP = 2  # characters that a column's edges take
-_NAME, _LONGEST_NAME = 42, 90  # characters of the names of rows: what a page has room for, and what is one
+_NAME, _LONGEST_NAME = 48, 90  # characters of the names of rows: what a page has room for, and what is one
 _SMALL = 0.85  # width of an interval's character
 _TIGHT = "An opened row shows its intervals."
 _MARK = re.compile(r"\([a-z]{1,2}\)")
@@ -119,7 +120,7 @@ def _block(block: Block, level: int) -> Markup:
         case Text():
             return Markup("<p{}>{}</p>").format(_class(block.tone), _text(block.text))
         case Code():
-            return Markup("<pre>{}</pre>").format(Markup("\n").join(map(_text, block.lines)))
+            return _code(block)
         case Items():
             return _items(block.items)
         case Beside():
@@ -127,6 +128,18 @@ def _block(block: Block, level: int) -> Markup:
             return Markup('<div class="beside">\n{}\n</div>').format(Markup("\n").join(columns))
         case Embed():
             return block.markup
+
+
+def _code(block: Code) -> Markup:
+    """Lines as they are typed: a command that names hundreds of files is closed, and shows how it begins."""
+    written = Markup("<pre>{}</pre>").format(Markup("\n").join(map(_text, block.lines)))
+    size = sum(map(len, block.lines))
+    if size <= _LONG_CODE:
+        return written
+    begin = Markup("<summary><code>{}\u2026</code> ({} characters)</summary>").format(
+        _text(" ".join(block.lines)[:_SHOWN_CODE]), f"{size:,}"
+    )
+    return Markup("<details class=key>{}{}</details>").format(begin, written)
 
 
 def _section(block: Section, level: int) -> Markup:

@@ -72,9 +72,6 @@ reason stand for it."""
 _OF_BODIES = (mechanics.section, playback.section, density.section, consistency.section)
 """Sections that nobody misses in a report on tasks, of which no bodies were recorded."""
 
-TITLE = "Which simulator repeats itself, which is right, and how fast is each?"
-"""Of several simulators."""
-
 
 def report(source: Source) -> Document:
     """All that an evaluation says."""
@@ -87,12 +84,15 @@ def report(source: Source) -> Document:
 
 
 def _title(source: Source) -> str:
-    names = list(dict.fromkeys(r.group.key.simulator for r in source.evaluation.results))
-    if len(names) != 1:
-        return TITLE
-    asked = [f"Does {names[0]} repeat itself"]
-    asked += ["is it right"] if source.evaluation.of_bodies else []
-    asked += ["how fast is it"] if source.evaluation.timed else []
+    """The questions that the recordings can answer, of one simulator by name or of several."""
+    evaluation = source.evaluation
+    names = list(dict.fromkeys(r.group.key.simulator for r in evaluation.results))
+    alone = len(names) == 1
+    asked = [f"Does {names[0]} repeat itself" if alone else "Which simulator repeats itself"]
+    if evaluation.of_bodies:
+        asked.append("is it right" if alone else "which is right")
+    if evaluation.timed:
+        asked.append("how fast is it" if alone else "how fast is each")
     return f"{', and '.join([', '.join(asked[:-1]), asked[-1]]) if len(asked) > 1 else asked[0]}?"
 
 

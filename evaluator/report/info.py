@@ -22,7 +22,7 @@ from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
-from gpusimbench.schemas.text import cut, plural
+from gpusimbench.schemas.text import cut, ordinal, plural
 from gpusimbench.schemas.treatment import VARIED, initial_words
 from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS
 
@@ -185,7 +185,7 @@ def _asked(c: RunConfiguration) -> Iterator[str]:
     if "timed" in c.phases:
         yield f"{c.warmup} warm-up and {c.timed_steps} timed steps"
     if "capture" in c.phases:
-        kept = "each" if c.stride == 1 else f"every {c.stride}th"
+        kept = "each" if c.stride == 1 else f"every {ordinal(c.stride)}"
         if c.keep:
             kept = f"those of failing environments alone ({c.keep})"
         begin = f" from step {c.first_step} on" if c.first_step else ""

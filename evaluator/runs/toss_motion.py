@@ -25,7 +25,7 @@ from gpusimbench.evaluator.runs.positions import in_env_frame
 from gpusimbench.schemas import arrays, checks
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.text import plural
+from gpusimbench.schemas.text import ordinal, plural
 from gpusimbench.schemas.tosses import GROUP, ODD, TOSSES, TossSet, judged_on
 from gpusimbench.schemas.treatment import GIVEN, TEACHER, Intervention
 
@@ -191,7 +191,7 @@ def _simulated(
     if set_every(c):
         steps = steps[(steps % every == 0) & (steps > 0)]
         if every % per_row or not np.array_equal(steps, np.arange(1, len(steps) + 1) * every) or not len(steps):
-            return Missing(f"it has no states of every {every}th step, after which it is set to measured states")
+            return Missing(f"it has no states of every {ordinal(every)} step, after which it is set to measured states")
         rows = steps // per_row
     motion = _motion(recording, steps, rows, slice(0, int(envs.max()) + 1))
     if isinstance(motion, Missing):

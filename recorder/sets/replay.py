@@ -28,7 +28,7 @@ from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.model_files import MODEL
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
-from gpusimbench.schemas.text import cut, plural
+from gpusimbench.schemas.text import cut, ordinal, plural
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED, FromFile, Given, drawn, initial_words, snapshot_name
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
@@ -179,8 +179,8 @@ def begun(
         raise UsageError("--from captures states from a step on, and --phases has no capture")
     if from_step % c.stride or from_step >= c.steps:
         raise UsageError(
-            f"{path} has states of every {c.stride}th step up to {c.steps}: --from {from_step} is not one of those "
-            "before the last"
+            f"{path} has states of every {ordinal(c.stride)} step up to {c.steps}: --from {from_step} is not one "
+            "of those before the last"
         )
     initial = drawn(c.initial)
     if initial is not None and initial.shift:

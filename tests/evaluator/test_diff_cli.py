@@ -210,6 +210,18 @@ def test_a_picture_of_hashes_alone(tmp_path: Path) -> None:
     assert "no distances: no positions of bodies" in (tmp_path / "hashes.svg").read_text()
 
 
+def test_fallen_bodies_do_not_set_the_scale_of_the_picture(tmp_path: Path) -> None:
+    """Draw the distances of bodies on the board where others fall for seconds; the legend lies below the curves."""
+    runs = [ROOT / "recordings" / f"mujoco-{name}-r0.mcap" for name in ("xeon", "pyramidal")]
+    assert main([*map(str, runs), "--plot", str(tmp_path / "cones.svg")]) == 4
+    root = ET.fromstring((tmp_path / "cones.svg").read_text(encoding="utf-8"))
+    written = {text.text: float(text.attrib["y"]) for text in root.iter("{http://www.w3.org/2000/svg}text")}
+    lengths = [label for label in written if re.fullmatch(r"\d+ (m|cm|mm|µm)", str(label))]
+    assert lengths
+    assert not [label for label in lengths if str(label).endswith(" m")]
+    assert written["max, 3D, without 32 fallen bodies"] > written["simulated time [s]"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

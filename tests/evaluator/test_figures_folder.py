@@ -134,7 +134,7 @@ def test_the_index_is_latex(written: Path) -> None:
     assert set(re.findall(r"\\([a-zA-Z]+)", text.removeprefix(HEAD))) <= {
         "begin", "end", "centering", "includegraphics", "linewidth", "caption", "label", "textbackslash", "textless",
         "textgreater", "textasciitilde", "textquotesingle", "textquotedblright", "times", "pm", "textasciicircum",
-        "dots",
+        "dots", "dagger",
     }  # fmt: skip
     assert r"\input" not in text
 
@@ -169,13 +169,15 @@ def test_any_text_is_harmless_latex(text: str) -> None:
     assert all(c.isascii() or ord(c) <= 0x17F for c in found)
     assert set(re.findall(r"\\([a-zA-Z]+)", found)) <= {
         "textbackslash", "textasciicircum", "textasciitilde", "textless", "textgreater", "textbar", "textquotedblright",
-        "textasciigrave", "textquotesingle", "pm", "times", "le", "ge", "mu", "circ", "to", "dots",
+        "textasciigrave", "textquotesingle", "pm", "times", "le", "ge", "mu", "circ", "to", "dots", "dagger",
+        "cdot",
     }  # fmt: skip
 
 
 def test_signs_are_signs() -> None:
     """Set plus-minus, the minus sign, thin spaces and superscripts as LaTeX has them."""
     assert table_files.escape("1\u2009±\u20092 × 10⁻³") == r"1\,$\pm$\,2 $\times$ 10$^{-}$$^{3}$"
+    assert table_files.escape("genesis †, N·s") == r"genesis $\dagger$, N$\cdot$s"
     assert table_files.escape("\u4e2d \u2212") == "[U+4E2D] $-$"
 
 

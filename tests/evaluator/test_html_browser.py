@@ -13,7 +13,7 @@ import pytest
 from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.document import Figure
 from gpusimbench.evaluator.render.figures import matrix, palette, style
-from gpusimbench.evaluator.report.document import TITLE, report
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import write_html
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
@@ -64,7 +64,24 @@ def test_the_page_fits(browser: Browser, page: Path, width: int, dark: bool) -> 
         && e.getBoundingClientRect().right > {width} + 0.5).map(e => e.outerHTML.slice(0, 80))"""
     assert browser.evaluate(beyond) == []
     assert (browser.errors, browser.requests) == ([], [])
-    assert browser.evaluate("document.title") == TITLE
+    assert browser.evaluate("document.title") == "Which simulator repeats itself, which is right, and how fast is each?"
+
+
+@pytest.mark.parametrize("width", [420, 1280])
+def test_opened_rows_keep_their_notes(browser: Browser, tmp_path: Path, width: int) -> None:
+    """Keep what an opened row says within its cells, and each table within the page, on a page of real recordings."""
+    runs = sorted((Path(__file__).resolve().parents[2] / "recordings").glob("mujoco-*.mcap"))
+    browser.open(write_html(evaluate_files(runs), tmp_path, published=False, command="gsb-eval"), width=width)
+    browser.click("[name=open]")
+    beyond = """[...document.querySelectorAll('.rows small')].filter(note => note.getClientRects().length
+        && note.getBoundingClientRect().right > note.closest('td, th').getBoundingClientRect().right + 1)
+        .map(note => note.textContent)"""
+    assert browser.evaluate("document.querySelectorAll('details.row[open]').length") > 0
+    assert browser.evaluate(beyond) == []
+    wide = (
+        "[...document.querySelectorAll('.table')].filter(t => t.scrollWidth > t.clientWidth + 1).map(t => t.ariaLabel)"
+    )
+    assert browser.evaluate(wide) == []
 
 
 def test_the_page_can_be_read_at_four_hundred_per_cent(browser: Browser, page: Path) -> None:
@@ -179,7 +196,7 @@ def test_other_scripts_are_refused(browser: Browser, page: Path, tmp_path: Path)
     bad = '<script>document.title = "taken"</script><img src="https://x.example/a" onerror="document.title = 1">'
     spoilt.write_text(text.replace("</body>", bad + "</body>").replace("// Saves", "// saves"), encoding="utf-8")
     browser.open(spoilt)
-    assert browser.evaluate("document.title") == TITLE
+    assert browser.evaluate("document.title") == "Which simulator repeats itself, which is right, and how fast is each?"
     assert browser.evaluate("document.querySelector('.files').hidden")
     assert len(browser.errors) >= 3
 

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpusimbench.evaluator.render.document import Cell, Tone
+from gpusimbench.evaluator.render.document import Cell, Facts, Text, Tone
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.leaders import Fastest, fastest
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.timed import TOO_SHORT
 from gpusimbench.evaluator.results.canonical import Law, laws
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -166,7 +167,7 @@ def test_an_idle_world_is_not_the_fastest(tmp_path: Path) -> None:
     text = render_html(evaluation, published=False, command="")
     assert "protocol-2 not met: the timed phase takes less than 1 s" in text
     assert fastest_of(evaluation) == (
-        "quick, unproven", ("protocol-2 not met: timed steps, or evidence of work",)
+        "quick: 4,000; unproven: 1,000", ("protocol-2 not met: timed steps, or evidence of work",)
     )  # fmt: skip
 
 
@@ -251,9 +252,50 @@ def test_each_is_unranked_for_its_own_reason(tmp_path: Path) -> None:
     sunk[:, :9, 2] = -1.0
     write_recording(tmp_path, sunk, simulator="sinks", elapsed_s=2.0, proven=True)
     assert fastest_of(evaluate_files(sorted(tmp_path.glob("*.mcap")))) == (
-        "quick, sinks",
+        "quick: 4,000; sinks: 1,000",
         ("quick: protocol-2 not met: timed steps, or evidence of work", "sinks: INVALID, or mechanics broken"),
     )
+
+
+def test_the_first_screen_qualifies_the_speed_of_one_simulator(tmp_path: Path) -> None:
+    """Say beside the throughput of a single simulator that it was timed too briefly."""
+    write_recording(tmp_path, grid(2), elapsed_s=0.5, proven=True)
+    blocks = report(Source(evaluate_files(sorted(tmp_path.glob("*.mcap"))), False, "")).blocks
+    (speeds,) = [block for block in blocks if isinstance(block, Facts)]
+    assert [cell.notes[-1] for _, cell in speeds.pairs] == [TOO_SHORT]
+
+
+def test_the_first_screen_asks_for_no_speed_that_nobody_measured(tmp_path: Path) -> None:
+    """Ask how fast simulators are where one was timed, and say so where none was."""
+    for name in ("one", "other"):
+        write_recording(tmp_path, grid(2), simulator=name, elapsed_s=None)
+    document = report(Source(evaluate_files(sorted(tmp_path.glob("*.mcap"))), False, ""))
+    assert document.title == "Which simulator repeats itself, and which is right?"
+    said = [one.text for one in document.blocks if isinstance(one, Text)]
+    assert "Not compared: repeats itself (needs at least two complete runs)." in said
+    assert "Throughput was not measured: no recording has a timed phase." in said
+
+
+def test_a_speed_without_a_rival_is_on_the_first_screen(tmp_path: Path) -> None:
+    """Show how fast the only simulator of a scene is, where others were timed in another scene."""
+    for name, elapsed_s in (("slow", 4.0), ("fast", 2.0)):
+        write_recording(tmp_path, grid(2), simulator=name, elapsed_s=elapsed_s, proven=True)
+    write_recording(tmp_path, None, n_env=2, simulator="slow", scene="franka", elapsed_s=8.0)
+    blocks = report(Source(evaluate_files(sorted(tmp_path.glob("*.mcap"))), False, "")).blocks
+    (speeds,) = [block for block in blocks if isinstance(block, Facts)]
+    assert [(name, cell.text) for name, cell in speeds.pairs] == [("throughput, franka [env-steps/s]", "250")]
+
+
+def test_a_long_command_is_closed(tmp_path: Path) -> None:
+    """Show how a command that names hundreds of files begins, and all of it to who opens it."""
+    write_recording(tmp_path, grid(2))
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    command = "gsb-eval " + " ".join(f"runs/mujoco-{run}.mcap" for run in range(200))
+    page = render_html(evaluation, published=False, command=command)
+    (opened,) = re.findall(r"<details class=key><summary><code>(gsb-eval [^<]*)\u2026</code>.*?<pre>(.*?)</pre>", page)
+    assert len(opened[0]) <= 60
+    assert opened[1] == command
+    assert "<pre>gsb-eval runs</pre>" in render_html(evaluation, published=False, command="gsb-eval runs")
 
 
 def test_many_simulators_have_a_line_each(tmp_path: Path) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from gpusimbench.evaluator.render.document import Facts, Items, Section, Table, Tone, walk
-from gpusimbench.evaluator.report.document import TITLE, report
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.sections import provenance, recordings, throughput, validity
 from gpusimbench.evaluator.report.sections.mechanics import remarks
 from gpusimbench.evaluator.report.source import Source
@@ -107,6 +109,18 @@ def test_provenance_is_closed_by_simulator(source: Source, alone: Source) -> Non
     assert len(closed(few)) == 3
 
 
+def test_runs_of_one_machine_are_named_by_ranges(tmp_path: Path) -> None:
+    """Head the machine of many runs with the first and the last of them, not with a line of numbers."""
+    for run in range(6):
+        write_recording(tmp_path, grid(1), run=run, cpu="a" if run < 5 else "b")
+    found = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    section = provenance.section(Source(found, False, ""))
+    assert section is not None
+    titles = [part.title for part in walk(section.blocks) if isinstance(part, Section)]
+    said = [title for title in titles if title.startswith("Machine and software")]
+    assert said == ["Machine and software of runs 0\u20134", "Machine and software of run 5"]
+
+
 def test_a_scene_without_a_complete_run_has_no_table(source: Source) -> None:
     """Say in a line that nothing was timed, in place of tables of dashes."""
     section = throughput.section(source)
@@ -130,7 +144,7 @@ def test_columns_that_are_empty_for_one_reason_share_a_line(alone: Source) -> No
 
 def test_one_simulator_alone_is_asked_for_by_name(source: Source, alone: Source) -> None:
     """Ask of one simulator whether it repeats itself, and say on the first screen how fast it is."""
-    assert report(source).title == TITLE
+    assert report(source).title == "Which simulator repeats itself, which is right, and how fast is each?"
     document = report(alone)
     assert document.title == "Does one repeat itself, is it right, and how fast is it?"
     first = [block for block in document.blocks if not isinstance(block, Section)]

@@ -65,7 +65,7 @@ def test_what_the_page_alone_had(tmp_path: Path) -> None:
     assert any("failed at 256" in note for note in limit.notes)
     (prices,) = (table for key, table in found.items() if key.startswith("prices"))
     rows = rows_of(prices)
-    speeds = {name.split("[")[1][:-1]: row["throughput of the default's"] for name, row in rows.items()}
+    speeds = {name.split("[")[1][:-1]: row["throughput / that of the default"] for name, row in rows.items()}
     assert (speeds["default"].text, speeds["slow"].text, speeds["bad"].text) == ("1", "x 0.252", "-")
     mark = speeds["bad"].notes[0]
     assert any(line.startswith(mark) and "INVALID" in line for line in prices.legend)

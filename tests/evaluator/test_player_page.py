@@ -174,6 +174,21 @@ def test_the_keyboard_suffices(browser: Browser, page: Path) -> None:
     assert browser.errors == []
 
 
+def test_keys_work_before_anything_is_clicked(browser: Browser, page: Path) -> None:
+    """Take the keys of the list on a page of the player's own, where a reader has clicked nothing yet."""
+    browser.open(page)
+    assert browser.evaluate("document.activeElement.tagName") == "BODY"
+    for key, expected in (("f", 40), (".", 41), ("End", 100), ("Home", 0)):
+        browser.key(key)
+        assert step(browser) == expected
+
+
+def test_a_phone_shows_picture_and_controls_together(browser: Browser, page: Path) -> None:
+    """Leave room for the button that plays on a screen that is higher than wide."""
+    browser.open(page, width=420, height=900)
+    assert browser.evaluate("document.querySelector('.play').getBoundingClientRect().bottom") <= 900
+
+
 def test_the_mouse_turns_and_points(browser: Browser, page: Path) -> None:
     """Turn by dragging; zoom by the wheel only once the picture is in use; name what is under the pointer."""
     browser.open(page)

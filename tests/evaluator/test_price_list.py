@@ -140,7 +140,7 @@ def test_a_level_that_sets_nothing_has_no_price(asked: dict[str, Any], tmp_path:
     (table,) = (one for key, one in tables_of(evaluation).items() if key.startswith("prices"))
     (row,) = (one for name, one in rows_of(table).items() if "full" in name)
     assert (row["distinct envs"].text, row["distinct runs"].text) == ("1 of 2", "1 of 3")
-    assert row["throughput of the default's"].text == row["memory of the default's"].text == "-"
+    assert row["throughput / that of the default"].text == row["memory / that of the default"].text == "-"
     assert any(line.endswith(NO_EFFECT) for line in table.legend)
     assert NO_EFFECT in render_html(evaluation, published=False, command="")
 
@@ -203,7 +203,7 @@ def test_prices_in_a_terminal(tmp_path: Path) -> None:
     evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
     (table,) = (one for key, one in tables_of(evaluation).items() if key.startswith("prices"))
     (row,) = (one for name, one in rows_of(table).items() if "full" in name)
-    speed, memory = row["throughput of the default's"], row["memory of the default's"]
+    speed, memory = row["throughput / that of the default"], row["memory / that of the default"]
     assert (speed.text, memory.text, memory.range) == ("x 0.5", "x 2", "[2, 2]")
     assert speed.ci95 is not None
     assert any("3 of 3 runs are INVALID, so it has no price" in line for line in table.legend)

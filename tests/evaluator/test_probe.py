@@ -135,7 +135,7 @@ def test_nothing_planted(tmp_path: Path) -> None:
     runs, envs, *others = (one.title for one in found.values() if one.answer is Answer.YES)
     of_two = f"{yes} of {yes} answers are yes ({runs}, {envs} and {len(others)} more)"
     assert verdict_of(list(found.values()), named=2) == of_two
-    assert verdict_of([found["runs"]], named=2) == f"1 of 1 answers are yes ({found['runs'].title})"
+    assert verdict_of([found["runs"]], named=2) == f"1 of 1 answer is yes ({found['runs'].title})"
     assert verdict_of([found["capture"]], named=2) == "nothing was asked"
     assert evidence(found["number"]) == "bit-identical: 7 pairs, 31 steps"
     # two runs agreed with the first of their arm: 1 - 0.05^(1/2)

@@ -151,7 +151,7 @@ def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
     assert "1 of 2 runs INVALID: buffer overflow" in why["invalid"]
     assert "integrity-1" in why["unsaid"]
     assert "no memory" in why["failed"]
-    assert "bodies through the floor, per env (27 of 27)" in why["sunk"]
+    assert "bodies through the floor per env (27 of 27)" in why["sunk"]
     assert "timed phase" in why["untimed"]
     assert "instrument" in why["control"]
     page = (tmp_path / "board" / "index.html").read_text()

@@ -265,8 +265,16 @@ def test_poor_outputs(gsb_eval: Command, small: Path, encoding: str, redirect: b
         assert done.returncode == 1
         assert "cannot write the results: No space left" in done.stderr
     else:
-        done = gsb_eval(small, "--sample-time", 1, env=environment, code=0)
+        done = gsb_eval(small, "--sample-time", 1, env=environment, encoding=encoding, code=0)
     assert "Traceback" not in done.stderr
+
+
+def test_signs_that_an_encoding_lacks_keep_their_meaning(gsb_eval: Command) -> None:
+    """Print a spread as a spread where there is no plus-minus sign, and no question mark in a number."""
+    runs = sorted((Path(__file__).resolve().parents[2] / "recordings").glob("mujoco-amd-r*.mcap"))
+    done = gsb_eval(*runs, env={**os.environ, "PYTHONIOENCODING": "ascii"}, encoding="ascii", code=0)
+    assert "11,889 +- 906" in done.stdout
+    assert "?" not in done.stdout
 
 
 def test_env_local_positions_are_not_shifted_again(gsb_eval: Command, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ LINE_FROM = 4
 """Points of a curve from which on a line joins them: fewer do not show what lies between."""
 
 _WIDTH, _HEIGHT = 480.0, 300.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 66.0, 14.0, 12.0, 42.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 84.0, 14.0, 12.0, 42.0
 _ZERO = 22.0  # height of the strip of exact zeros
 _SIDE, _LOW = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _BOTTOM
 _FLOOR = _LOW - _ZERO  # of the logarithmic axis
@@ -98,6 +98,7 @@ def divergence_chart(curves: Sequence[Curve], *, onset: float | None, name: str,
         text("exactly 0", _LEFT - 7, _LOW - _ZERO / 2 + 4, class_="end"),
         *(axis.bottom(at, _LOW, axis.tick_label(t)) for t, at in columns),
         text("simulated time [s]", _LEFT + _SIDE / 2, _LOW + 34, class_="mid"),
+        text("distance between envs", 14, (_TOP + _LOW) / 2, class_="mid", rotate=-90),
         *(_onset(x(onset)) if onset is not None and onset <= last else ()),
         *(_curve(c, x, y) for c in curves),
         _fit(fitted, x, y) if fitted else "",

@@ -66,8 +66,8 @@ def _table(source: Source, families: Sequence[Family], results: Sequence[GroupRe
     columns: list[tuple[Column, Written]] = [
         (Column(DISTINCT_ENVS.title), lambda r: _bits(r, DISTINCT_ENVS, reasons)),
         (Column(DISTINCT_RUNS.title), lambda r: _bits(r, DISTINCT_RUNS, reasons)),
-        (Column("throughput of the default's"), lambda r: cost(r, "speed")),
-        (Column("memory of the default's"), lambda r: cost(r, "memory")),
+        (Column("throughput / that of the default"), lambda r: cost(r, "speed")),
+        (Column("memory / that of the default"), lambda r: cost(r, "memory")),
         (Column("what speaks against it"), _against),
     ]
     return of_groups(source, "prices-of-levels", "Levels of each configuration", results, columns, reasons)

@@ -17,6 +17,7 @@ from gpusimbench.evaluator.render.document import (
     Items,
     Row,
     Table,
+    Text,
     Tone,
     facts,
     key_of,
@@ -26,6 +27,7 @@ from gpusimbench.evaluator.render.numbers import ranked
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, not_ranked
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.timed import TOO_SHORT
 from gpusimbench.evaluator.report.verdicts import LAWS, NOT_COMPARED, QUESTIONS, TO_REFERENCE, judged, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -47,6 +49,8 @@ _HOW_TO_READ = (
     "another group of the simulator with its shape and colour. †: timed or run in another way than others."
 )
 
+_NOT_TIMED = (Text("Throughput was not measured: no recording has a timed phase.", Tone.QUIET),)
+
 _ROOMY = 4
 """Simulators at most, for whom every cell of the first screen has a line for each of its notes."""
 
@@ -54,10 +58,11 @@ _ROOMY = 4
 def overview(source: Source) -> tuple[Block, ...]:
     """The blocks of the first screen."""
     evaluation = source.evaluation
-    figure, fastest_table = tuple(_scatter(evaluation)), tuple(_fastest_table(evaluation.results))
+    found = list(fastest(evaluation.results))
+    figure, fastest_table = tuple(_scatter(evaluation)), tuple(_fastest_table(found, evaluation.results))
     below: list[Block] = [Beside((figure, fastest_table))] if figure and fastest_table else [*figure, *fastest_table]
-    speed = _speed_alone(evaluation.results)
-    return (Items((_state_of_the_set(evaluation),)), _matrix(evaluation), *speed, *below)
+    speed = _speed_alone(evaluation.results, found) if evaluation.timed else _NOT_TIMED
+    return (Items((_state_of_the_set(evaluation),)), *_matrix(evaluation), *speed, *below)
 
 
 def asked_of(evaluation: Evaluation) -> str:
@@ -76,7 +81,8 @@ def asked_of(evaluation: Evaluation) -> str:
     return f"{', '.join(counts)}{placed}{compared}."
 
 
-def _matrix(evaluation: Evaluation) -> Table:
+def _matrix(evaluation: Evaluation) -> Iterator[Block]:
+    """The answers, and why those questions that a table of several simulators leaves out have none."""
     lawful = any(judged(result) for result in evaluation.results)
     questions = [*QUESTIONS, *([LAWS] if lawful else []), *([TO_REFERENCE] if evaluation.reference else [])]
     asked = [Column(title, meaning) for title, meaning, _ in _DEPENDS] if evaluation.probed else []
@@ -92,18 +98,24 @@ def _matrix(evaluation: Evaluation) -> Table:
             for name, _, head, results in rows
         ],
     )
-    return replace(_without_unasked(matrix), compact=len(rows) > _ROOMY)
+    every = range(len(matrix.columns))
+    unasked = [i for i in every if len(rows) > 1 and all(row.cells[i].text == NOT_COMPARED for row in matrix.rows)]
+    kept = [i for i in every if i not in unasked]
+    yield replace(
+        matrix,
+        columns=tuple(matrix.columns[i] for i in kept),
+        rows=tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in matrix.rows),
+        compact=len(rows) > _ROOMY,
+    )
+    if unasked:
+        yield Text(f"Not compared: {'; '.join(_unasked(matrix, i) for i in unasked)}.", Tone.QUIET)
 
 
-def _without_unasked(matrix: Table) -> Table:
-    """The table without the columns in which no simulator has an answer, where there are several simulators."""
-    kept = [
-        i
-        for i in range(len(matrix.columns))
-        if len(matrix.rows) == 1 or not all(row.cells[i].text == NOT_COMPARED for row in matrix.rows)
-    ]
-    rows = tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in matrix.rows)
-    return replace(matrix, columns=tuple(matrix.columns[i] for i in kept), rows=rows)
+def _unasked(matrix: Table, column: int) -> str:
+    """A question without any answer, and the reasons."""
+    reasons = dict.fromkeys(note for row in matrix.rows for note in row.cells[column].notes)
+    why = f" ({', '.join(reasons)})" if reasons else ""
+    return f"{matrix.columns[column].title}{why}"
 
 
 def _depends(name: str, evaluation: Evaluation) -> Iterator[Cell]:
@@ -152,8 +164,7 @@ def _apart(one: Figure) -> bool:
     return len(one.numbers.rows) > 1 and any(row[_DISTANCE] for row in one.numbers.rows)
 
 
-def _fastest_table(results: Sequence[GroupResult]) -> Iterator[Table]:
-    found = list(fastest(results))
+def _fastest_table(found: Sequence[Fastest], results: Sequence[GroupResult]) -> Iterator[Table]:
     if not found:
         return
     yield table(
@@ -167,22 +178,27 @@ def _fastest_table(results: Sequence[GroupResult]) -> Iterator[Table]:
     ).without_empty_columns()
 
 
-def _speed_alone(results: Sequence[GroupResult]) -> Iterator[Facts]:
-    """The highest throughput in each scene of a simulator that nobody is beside, ranked as `leaders` does."""
-    if len({r.group.key.simulator for r in results}) != 1:
-        return
-    best: dict[str, GroupResult] = {}
+def _speed_alone(results: Sequence[GroupResult], found: Sequence[Fastest]) -> Iterator[Facts]:
+    """The highest throughput of each simulator in each scene where it is compared with no other."""
+    compared = {(one.scene, one.device) for one in found}
+    names = {r.group.key.simulator for r in results}
+    best: dict[tuple[str, str], GroupResult] = {}
     for result in results:
-        speed, before = ranked_throughput(result.metrics[FPS.name]), best.get(result.group.key.scene)
+        key = result.group.key
+        if (key.scene, key.device) in compared or (len(names) > 1 and is_instrument(key)):
+            continue
+        speed, before = ranked_throughput(result.metrics[FPS.name]), best.get((key.scene, key.simulator))
         if speed > (ranked_throughput(before.metrics[FPS.name]) if before else 0.0):
-            best[result.group.key.scene] = result
+            best[key.scene, key.simulator] = result
     if best:
-        yield facts(*((f"throughput, {scene} [{FPS.unit}]", _speed(result)) for scene, result in best.items()))
+        yield facts(*((f"throughput, {scene} [{FPS.unit}]", _speed(result)) for (scene, _), result in best.items()))
 
 
 def _speed(result: GroupResult) -> Cell:
     said = ranked(result.metrics[FPS.name])
-    return replace(said, notes=(f"{result.label}, {plural(result.group.key.n_env, 'env', spec=',')}", *said.notes))
+    brief = (TOO_SHORT,) if result.timed.unreliable else ()
+    named = f"{result.label}, {plural(result.group.key.n_env, 'env', spec=',')}"
+    return replace(said, notes=(named, *said.notes, *brief))
 
 
 def _where(found: Fastest) -> Cell:
@@ -206,4 +222,6 @@ def _barred(found: Fastest, results: Sequence[GroupResult]) -> Cell:
         for why, those in by_kind.items()
     }
     notes = [why if len(names) == 1 else f"{', '.join(those)}: {why}" for why, those in names.items()]
-    return Cell(", ".join(name for those in names.values() for name in those), notes=tuple(notes), tone=Tone.BAD)
+    speeds = [r.metrics[FPS.name] for those in by_kind.values() for r in those]
+    listed = zip((name for those in names.values() for name in those), map(ranked, speeds), strict=True)
+    return Cell("; ".join(f"{name}: {fps.text}" for name, fps in listed), notes=tuple(notes), tone=Tone.BAD)

@@ -25,9 +25,9 @@ def section(source: Source) -> Section | Missing | None:
     if found is None or not (found.clips or found.not_shown):
         return None
     if not found.clips:
-        return without("Playback", (f"{', '.join(one.labels)}: {one.reason}" for one in found.not_shown))
+        return without("Playback", (f"{'; '.join(one.labels)}: {one.reason}" for one in found.not_shown))
     blocks: list[Block] = [Text(_HOW), Embed(markup(found.clips), Markup(style()), Markup(script()))]
     if found.not_shown:
-        not_shown = tuple(Item(f"{', '.join(one.labels)}: {one.reason}") for one in found.not_shown)
+        not_shown = tuple(Item(f"{'; '.join(one.labels)}: {one.reason}") for one in found.not_shown)
         blocks.append(Section("not-played", "Not shown", (Items(not_shown),)))
     return Section("playback", "Playback", tuple(blocks), f"{plural(len(found.clips), 'group')} to watch", folded=True)

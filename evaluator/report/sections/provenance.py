@@ -22,6 +22,7 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
+from gpusimbench.evaluator.render.figures.tree import in_ranges
 from gpusimbench.evaluator.render.numbers import figure, interval, mean_sd
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.sections.rows import by_simulator, facets
@@ -33,6 +34,7 @@ from gpusimbench.schemas.text import cut, first, plural
 from gpusimbench.schemas.treatment import initial_words
 
 _DEPTH = 3
+_PARTS = 20  # of a list of runs, and then "..."
 _ROWS = 1000  # of a record of a stranger, and items of a list in it
 _CHARACTERS = 10_000  # of a text in it
 _Machines = dict[str, tuple[str, str]]
@@ -88,7 +90,7 @@ def _blocks(number: int, result: GroupResult, machines: _Machines) -> Iterator[B
 
 def _origin(number: str, runs: str, recording: Run, label: str, machines: _Machines) -> Section:
     """Where some runs of a group were made: in full once, and by a link where it is the place of a group before."""
-    title = f"Machine and software of {'runs' if ',' in runs else 'run'} {runs}"
+    title = f"Machine and software of {'run' if runs.isdecimal() else 'runs'} {runs}"
     key, place = key_of("machine", number, runs), _place(recording)
     parts: list[Block] = []
     if place in machines:
@@ -137,7 +139,8 @@ def _origins(result: GroupResult) -> list[tuple[str, Run]]:
     alike: dict[str, list[Run]] = {}
     for recording in result.group.recordings:
         alike.setdefault(_place(recording), []).append(recording)
-    return [(", ".join(str(r.configuration.run_index) for r in runs), runs[0]) for runs in alike.values()]
+    indices = {place: sorted({r.configuration.run_index for r in runs}) for place, runs in alike.items()}
+    return [(in_ranges(indices[place], at_most=_PARTS), runs[0]) for place, runs in alike.items()]
 
 
 def _place(recording: Run) -> str:

@@ -12,6 +12,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Revision
 from gpusimbench.evaluator.runs.physics.states import Walk
 from gpusimbench.evaluator.runs.physics.world import World
+from gpusimbench.schemas.text import ordinal
 from gpusimbench.schemas.treatment import drawn
 
 SHARE = 0.05
@@ -119,4 +120,4 @@ class Setting:
     @property
     def sparse(self) -> str:
         """Why nothing can be said of what happens between rows; empty where every step was recorded."""
-        return "" if self.stride == 1 else f"only every {self.stride}th state was recorded"
+        return "" if self.stride == 1 else f"only every {ordinal(self.stride)} state was recorded"

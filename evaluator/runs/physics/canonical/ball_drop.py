@@ -15,6 +15,7 @@ from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of, uneve
 from gpusimbench.evaluator.runs.physics.facts import LawValues
 from gpusimbench.evaluator.runs.physics.world import Moving, world_of
 from gpusimbench.schemas import checks
+from gpusimbench.schemas.text import ordinal
 
 Array = npt.NDArray[np.float64]
 
@@ -33,7 +34,8 @@ def ball_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
     if states.linear is None:
         return Missing("velocities of the balls were not recorded")
     if recording.configuration.stride > 1:
-        return Missing(f"only every {recording.configuration.stride}th state was recorded, and a contact is shorter")
+        every = ordinal(recording.configuration.stride)
+        return Missing(f"only every {every} state was recorded, and a contact is shorter")
     if len(world.floors) != 1 or not all(ball.radius for ball in world.moving):
         return Missing("the scene has other bodies than balls and a level plane")
     found: list[LawValues] = []
