@@ -108,7 +108,7 @@ def _find(setting: Setting) -> Fall | Missing:
 
 
 def _method(lead: float) -> str:
-    """Which method a first-order error of the fall in g dt, is that of."""
+    """Which method a first-order error of the fall in g dt is that of."""
     if abs(lead) < 0.01:
         return "second order, or exact"
     kind = "semi-implicit" if lead > 0 else "explicit"
