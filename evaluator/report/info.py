@@ -18,12 +18,12 @@ from gpusimbench.evaluator.report.sections.failing import counted, failing_table
 from gpusimbench.evaluator.results.timed_work import SHORT_S
 from gpusimbench.evaluator.runs.memory import described
 from gpusimbench.schemas import __version__
-from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
+from gpusimbench.schemas.configuration import MAX_VIEW, TELLING, RunConfiguration
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
 from gpusimbench.schemas.text import cut, plural
-from gpusimbench.schemas.treatment import VARIED, initial_words
+from gpusimbench.schemas.treatment import initial_words
 from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS
 
 SCHEMA_VERSION = 1
@@ -38,7 +38,7 @@ _LONGEST = 600
 
 
 _FIRST = (
-    "status", "integrity", "CAUTION", "sha256", "recorded", "simulator", "scene", "size", "varied", "protocol",
+    "status", "integrity", "CAUTION", "sha256", "recorded", "simulator", "scene", "size", *TELLING, "protocol",
     "determinism", "machine", "gpu 0", "throughput", "states", "episodes", "hashed", "failed", "not read", "gate",
     "LOST",
 )  # fmt: skip
@@ -163,10 +163,8 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
         yield "size", f"{plural(c.n_env, 'trial')}, measured {times}"
     else:
         yield "size", f"{plural(c.n_env, 'environment')}, dt {c.dt:g} s, {_seed(c)}"
-        if c.initial:
-            yield "initial", f"{initial_words(c.initial)}: environments do not begin in the scene's first state"
-        if c.vary:
-            yield "varied", f"{c.vary}: factors of each environment, in {VARIED}"
+        for name, value in c.settings:
+            yield name, ": ".join(filter(None, (TELLING[name].words(value), TELLING[name].note)))
         yield "protocol", "; ".join(_asked(c))
         yield "determinism", c.determinism + (" (the engine as it ships)" if c.determinism == "default" else "")
     given = c.options
