@@ -188,6 +188,25 @@ def test_add_an_option_of_the_recorder(copy: Copy) -> None:
 
 
 @pytest.mark.slow
+def test_add_an_option_of_a_simulator(copy: Copy) -> None:
+    """List a new option, and tell groups apart by its value, also where the engine does not say it."""
+    file = "recorder/simulators/mujoco/simulator.py"
+    copy.edit(file, "    threads    0: as", "    flavour    any number\n    threads    0: as")
+    copy.edit(file, "    threads: int = 0\n", "    threads: int = 0\n    flavour: int = 0\n")
+    assert "any number" in copy.run("gpusimbench.recorder.cli", "--list", "mujoco")
+    wanted = ["--scene", "free-fall", "--n-env", "2", "--runs", "1", "--steps", "20", "--phases", "capture"]
+    for value in (1, 2):
+        copy.run("gpusimbench.recorder.cli", "--sim", "mujoco", *wanted, f"--option=flavour={value}", "--out", "made")
+    files = sorted(str(path) for path in (copy.folder / "made").glob("*.mcap"))
+    copy.run("gpusimbench.evaluator.cli.eval", *files, "--json", "found.json", "--no-cache")
+    groups = json.loads((copy.folder / "found.json").read_text(encoding="utf-8"))["groups"]
+    assert [(group["label"], group["options"]["flavour"]) for group in groups] == [
+        ("mujoco [flavour=1]", "1"),
+        ("mujoco [flavour=2]", "2"),
+    ]
+
+
+@pytest.mark.slow
 def test_add_a_section_of_the_report(copy: Copy) -> None:
     """Show a new section in the page."""
     copy.write(

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from gpusimbench.evaluator.read.described import Described
 from gpusimbench.schemas.configuration import TELLING, Settings
-from gpusimbench.schemas.provenance import REAL, engine_name
+from gpusimbench.schemas.provenance import REAL, Simulation, engine_name
 
 _D = TypeVar("_D", bound=Described, covariant=True)
 _R = TypeVar("_R", bound=Described)
@@ -32,7 +32,7 @@ class GroupKey:
     n_env, dt, seed     as asked; dt in seconds
     warmup, timed_steps protocol of the throughput phase, 0 where it was left out
     determinism         level that was asked for
-    options             of the engine in force, JSON; as asked where the run ended before the engine said them
+    options             of the engine in force, JSON; as asked where the engine does not say them
     switches            determinism switches and precision in force, JSON
     conditions          environment variables, versions and driver that can change numbers, JSON
     layout              names, shapes, precision and frames of the state fields, JSON
@@ -148,7 +148,7 @@ def key_of(recording: Described) -> GroupKey:
         warmup=c.warmup if timed else 0,
         timed_steps=c.timed_steps if timed else 0,
         determinism=c.determinism,
-        options=_canonical(_in_force(simulation.options if simulation else c.options)),
+        options=_canonical(_in_force(_options(simulation, c.options))),
         # the level that was asked for has a place of its own, and so have the versions of packages
         switches=_canonical(_without(simulation.switches, ("determinism", *conditions))) if simulation else "",
         conditions=_canonical(conditions),
@@ -156,6 +156,15 @@ def key_of(recording: Described) -> GroupKey:
         origins=json.dumps(simulation.env_origins if simulation else []),
         settings=c.settings,
     )
+
+
+def _options(simulation: Simulation | None, given: Mapping[str, str]) -> Mapping[str, Any]:
+    """Those in force, and as they were given those that the engine does not tell: runs that differ in these were asked
+    for something else."""
+    if simulation is None:
+        return given
+    told = {*simulation.options, *simulation.switches, *(one.name for one in simulation.buffers), "device"}
+    return {**_without(given, told), **simulation.options}
 
 
 # what follows from the scene or from the number of environments, and is no choice: rows that wait on the device to be
