@@ -80,15 +80,16 @@ def changed() -> str:
 
 def cell(row: FidelityRow | None) -> str:
     """The worst of what was measured, bold where mechanics broke, in italics where a scene was not at rest."""
-    if row is None or row.verdict is Verdict.NOT_APPLICABLE:
+    if row is None or row.found is None:
         return NONE
-    middle = row.low is not None and row.high is not None and row.low == row.high and row.check is not Check.SANK
-    shown = number(row.mean if middle else row.most)
-    if not row.broken:
+    found = row.found
+    middle = found.low is not None and found.low == found.high and row.check is not Check.SANK
+    shown = number(found.mean if middle else found.most)
+    if not found.broken:
         return shown
     mark = "**" if row.check.demanded else "*"
     told = f"{mark}{shown}{mark}"
-    return f"{told} ({row.broken} of {row.count})" if row.broken < row.count else told
+    return f"{told} ({found.broken} of {found.count})" if found.broken < found.count else told
 
 
 def at_the_end(found: Sequence[tuple[Fidelity, float]]) -> str:

@@ -112,9 +112,9 @@ def whole(record: Mapping[str, Any], key: str, low: int, high: int, default: int
     return value
 
 
-def number(record: Mapping[str, Any], key: str, low: float, high: float) -> float:
+def number(record: Mapping[str, Any], key: str, low: float, high: float, default: float | None = None) -> float:
     """A finite number from low to high."""
-    value = record.get(key)
+    value = record.get(key, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise DamagedRecording(f"{key} is not a number from {low:g} to {high:g}: {_short(value)}")
     return float(value)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from copy import copy
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.treatment import Given, Initial, Intervention, Keep, Vary, parse_initial
+from gpusimbench.schemas.treatment import VARIED, Given, Initial, Intervention, Keep, Vary, initial_words, parse_initial
 
 USUAL_PHASES = ("timed", "capture")
 """Phases where nothing says which."""
@@ -26,6 +28,69 @@ MAX_VIEW = 4
 
 EPOCH_NS = 1_000_000_000
 """log_time of simulated time zero: zero itself reads as "no time" in some tools."""
+
+
+Settings = tuple[tuple[str, Any], ...]
+"""Some settings that are not empty, each its name and its key."""
+
+
+def _text(record: dict[str, Any], name: str) -> str:
+    return checks.text(record, name, default="")
+
+
+def _steps(record: dict[str, Any], name: str) -> tuple[int, ...]:
+    return tuple(sorted(checks.whole({name: step}, name, 0, checks.MAX_COUNT) for step in checks.items(record, name)))
+
+
+def _treatment(parse: Callable[[str], Initial | Given | Vary | Intervention | Keep]) -> Callable[..., str]:
+    def read(record: dict[str, Any], name: str) -> str:
+        text = _text(record, name)
+        try:
+            return text and str(parse(text))
+        except ValueError:
+            raise DamagedRecording(f"{name} is none that is known: {text[:40]!r}") from None
+
+    return read
+
+
+def _plain(key: Any) -> str:
+    return f"{key:g}" if isinstance(key, float) else str(key)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A value of RunConfiguration that came after the first version of the format.
+
+    The JSON of a recording leaves it out where it is empty: equal to `empty`.
+
+    read    the value that a record has by a name; DamagedRecording where it is none that is known
+    title   what reports call the setting; empty where results do not depend on it: runs that differ in nothing else are
+            then repetitions. All others belong to the key of a group, its label, the JSON and the page
+    empty   the value where nothing was asked for: "", 0 or another value that is false
+    bits    whether states depend on it: those of runs that differ in it are then not compared by bits
+    key     the value as keys of groups and the JSON of results have it: a text or a number
+    words   a key's value as reports show it behind the title
+    label   the same within the label of a group; None: NAME=WORDS
+    note    what the value means, in a sentence of gsb-info
+    """
+
+    read: Callable[[dict[str, Any], str], Any]
+    title: str
+    empty: Any = ""
+    bits: bool = False
+    key: Callable[[Any], Any] = lambda value: value
+    words: Callable[[Any], str] = _plain
+    label: Callable[[Any], str] | None = None
+    note: str = ""
+
+    def labelled(self, name: str, key: Any) -> str:
+        """The setting of that name within the label of a group."""
+        return self.label(key) if self.label else f"{name}={self.words(key)}"
+
+
+def _setting(read: Callable[[dict[str, Any], str], Any], title: str, **more: Any) -> Any:
+    setting = Setting(read, title, **more)
+    return field(default_factory=lambda: copy(setting.empty), metadata={"setting": setting})
 
 
 @dataclass(frozen=True)
@@ -48,11 +113,12 @@ class RunConfiguration:
     determinism  level that the simulator was asked for; "default" leaves the engine as it ships
     timeout      the run is ended after so many seconds; 0: never
     capture      one of CAPTURE_MODES
-    initial      how environments begin, as of treatment.Initial or Given; empty: in the scene's first state
+    view         environments whose captured states are written as what viewers draw, too
+    initial      how environments begin, as of treatment.Initial or Given; empty: in the scene's first state. This and
+                 all that follow are a Setting each
     vary         which of their parameters differ, as of treatment.Vary; empty: none
     intervention what is done to their state on the way, as of treatment.Intervention; empty: nothing
     keep         which of the captured states are written, as of treatment.Keep; empty: all
-    view         environments whose captured states are written as what viewers draw, too
     snapshots    captured steps after which the engine's whole state is saved, ascending
     model        SHA-256 of the model's files, which the recording has attached; empty: the scene is a registered one
     keyframe     of the model that environments begin in; empty without a model
@@ -78,15 +144,36 @@ class RunConfiguration:
     timeout: float = 0.0
     capture: str = CAPTURE_MODES[0]
     view: tuple[int, ...] = ()
-    initial: str = ""
-    intervention: str = ""
-    snapshots: tuple[int, ...] = ()
-    keep: str = ""
-    model: str = ""
-    keyframe: str = ""
-    actions: str = ""
-    fitted: dict[str, str] = field(default_factory=dict)
-    vary: str = ""
+    initial: str = _setting(
+        _treatment(parse_initial),
+        "initial states",
+        bits=True,
+        words=initial_words,
+        label=lambda text: f"initial={re.sub(r'(?<=:[0-9a-f]{8})[0-9a-f]+', '', text)}",
+        note="environments do not begin in the scene's first state",
+    )
+    vary: str = _setting(
+        _treatment(Vary.parse), "varied parameters", bits=True, note=f"factors of each environment, in {VARIED}"
+    )
+    intervention: str = _setting(_treatment(Intervention.parse), "intervention", bits=True)
+    keep: str = _setting(_treatment(Keep.parse), "states kept")
+    snapshots: tuple[int, ...] = _setting(_steps, "", empty=())
+    model: str = _setting(_text, "")
+    keyframe: str = _setting(_text, "")
+    actions: str = _setting(_text, "")
+    fitted: dict[str, str] = _setting(
+        checks.text_map,
+        "fitted options",
+        empty={},
+        key=lambda fitted: ", ".join(f"{name} to {data}" for name, data in sorted(fitted.items())),
+        label=lambda text: f"fitted {text}",
+    )
+
+    @property
+    def settings(self) -> Settings:
+        """Name and key of each of TELLING that is not empty."""
+        found = ((name, setting.key(getattr(self, name))) for name, setting in TELLING.items())
+        return tuple((name, key) for name, key in found if key)
 
     @property
     def option_words(self) -> list[str]:
@@ -123,7 +210,7 @@ class RunConfiguration:
         """As plain JSON values."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
         record["snapshots"] = list(self.snapshots)
-        return {name: value for name, value in record.items() if value or name not in _LATER}
+        return {name: value for name, value in record.items() if value or name not in SETTINGS}
 
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> RunConfiguration:
@@ -151,47 +238,28 @@ class RunConfiguration:
             compression=checks.text(record, "compression", default=""),
             options=checks.text_map(record, "options"),
             determinism=checks.text(record, "determinism", default="default"),
-            timeout=checks.number(record, "timeout", 0, 1e9) if "timeout" in record else 0.0,
+            timeout=checks.number(record, "timeout", 0, 1e9, default=0),
             capture=checks.text(record, "capture", default=CAPTURE_MODES[0]),
             view=tuple(checks.whole({"view": env}, "view", 0, n_env - 1) for env in checks.items(record, "view")),
-            **{name: read(record, name) for name, read in _LATER.items()},
+            **{name: setting.read(record, name) for name, setting in SETTINGS.items()},
         )
         if made.captured_steps < 1:
             raise DamagedRecording(f"it begins at step {made.first_step} and ends at step {made.steps}")
         return made
 
 
-def _text(record: dict[str, Any], name: str) -> str:
-    return checks.text(record, name, default="")
-
-
-def _steps(record: dict[str, Any], name: str) -> tuple[int, ...]:
-    return tuple(sorted(checks.whole({name: step}, name, 0, checks.MAX_COUNT) for step in checks.items(record, name)))
-
-
-def _treatment(parse: Callable[[str], Initial | Given | Vary | Intervention | Keep]) -> Callable[..., str]:
-    def read(record: dict[str, Any], name: str) -> str:
-        text = _text(record, name)
-        try:
-            return text and str(parse(text))
-        except ValueError:
-            raise DamagedRecording(f"{name} is none that is known: {text[:40]!r}") from None
-
-    return read
-
-
-_LATER: dict[str, Callable[[dict[str, Any], str], Any]] = {
-    "initial": _treatment(parse_initial),
-    "vary": _treatment(Vary.parse),
-    "intervention": _treatment(Intervention.parse),
-    "keep": _treatment(Keep.parse),
-    "snapshots": _steps,
-    "model": _text,
-    "keyframe": _text,
-    "actions": _text,
-    "fitted": checks.text_map,
+SETTINGS: dict[str, Setting] = {
+    one.name: one.metadata["setting"] for one in fields(RunConfiguration) if "setting" in one.metadata
 }
-"""Values that came later than the others, and how each is read; what is empty of them is left out of the JSON."""
+"""All of a configuration, by name."""
+
+TELLING = {name: setting for name, setting in SETTINGS.items() if setting.title}
+"""Settings that results can depend on, by name."""
+
+
+def deciding(settings: Settings) -> Settings:
+    """Those that states depend on."""
+    return tuple((name, key) for name, key in settings if TELLING[name].bits)
 
 
 def open_end(stride: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -19,8 +20,10 @@ FILE = ROOT / "recordings" / "mujoco-amd-r0.mcap"
 
 
 def test_every_command_is_a_verb() -> None:
-    """Have a verb for each command of the hyphen family, with its options."""
+    """Have a verb for each command of the hyphen family, with its options, and a script that completes it."""
     assert {f"gsb-{verb}" for verb in COMMANDS} == set(PARSERS) - {"gsb"}
+    (loop,) = re.findall(r"^for c in (.+); do$", (ROOT / "docs" / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(loop.split()) == set(PARSERS)
     (verbs,) = (action for action in PARSERS["gsb"]._actions if action.dest == "verb")
     assert verbs.choices is not None
     for verb, parser in dict(verbs.choices).items():

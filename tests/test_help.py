@@ -91,7 +91,7 @@ def test_examples_can_be_typed(name: str) -> None:
 def test_help_says_where_to_go_on(name: str) -> None:
     """Name documents that exist, and commands that exist."""
     section = script("make_reference").sections(PARSERS[name].epilog).get("see also")
-    assert section, f"say in schemas/commands/command_line.py what else a reader of {name} may want"
+    assert section, f'say under "see also:" in the epilog of {name} what else a reader of {name} may want'
     for path in re.findall(r"\S+/\S+\.md", section):
         assert (ROOT / path).exists(), path
     assert set(re.findall(r"gsb-\w+", section)) <= set(PARSERS) - {name}

@@ -37,12 +37,13 @@ class Copy:
         assert text.count(before) == 1, f"{name} has changed: {before}"
         path.write_text(text.replace(before, after), encoding="utf-8")
 
-    def run(self, *command: str) -> str:
-        """What a command prints on standard output."""
+    def run(self, *command: str, code: int = 0) -> str:
+        """What a command that ends with that exit code prints on standard output."""
         done = finished(
             [sys.executable, "-P", "-m", *command],
             cwd=self.folder,
             env={**os.environ, "PYTHONPATH": str(self.folder / "src")},
+            code=code,
         )
         return done.stdout
 
@@ -151,27 +152,58 @@ def test_add_an_intervention(copy: Copy) -> None:
 
 @pytest.mark.slow
 def test_add_an_option_of_the_recorder(copy: Copy) -> None:
-    """Keep what a new option was given in the recording, and in its replay; refuse it where it means nothing."""
-    copy.edit("schemas/configuration.py", '    vary: str = ""\n', '    vary: str = ""\n    comment: str = ""\n')
-    copy.edit("schemas/configuration.py", '    "model": _text,\n', '    "model": _text,\n    "comment": _text,\n')
+    """Keep what a new option was given in the recording, in its replay, and wherever results tell settings apart."""
+    copy.edit(
+        "schemas/configuration.py",
+        "    keep: str = _setting(",
+        "    rate: float = _setting(\n        lambda record, name: checks.number(record, name, 0, 1e6, default=0), "
+        "'controller rate', empty=0.0, bits=True\n    )\n    keep: str = _setting(",
+    )
     copy.edit(
         "recorder/command/arguments.py",
         '    take("--replay"',
-        '    take("--comment", metavar="TEXT", help="any text (default: none)", simulated="")\n    take("--replay"',
-    )
-    copy.edit(
-        "recorder/command/command.py",
-        "        phases=phases,\n        seed",
-        "        phases=phases,\n        comment=arguments.comment,\n        seed",
+        '    take("--rate", type=float, metavar="HZ", help="of the controller [Hz] (default: none)", simulated=0.0)\n'
+        '    take("--replay"',
     )
     wanted = ["--scene", "free-fall", "--n-env", "2", "--runs", "1", "--steps", "20", "--phases", "capture"]
-    copy.run("gpusimbench.recorder.cli", "--sim", "mujoco", *wanted, "--comment", "hello", "--out", "made")
-    (first,) = (copy.folder / "made").glob("*.mcap")
+    for folder, rate in (("made", "50"), ("other", "100")):
+        copy.run("gpusimbench.recorder.cli", "--sim", "mujoco", *wanted, "--rate", rate, "--out", folder)
+    (first,), (other,) = ((copy.folder / name).glob("*.mcap") for name in ("made", "other"))
     copy.run("gpusimbench.recorder.cli", "--replay", str(first), "--out", "replayed")
     (second,) = (copy.folder / "replayed").glob("*.mcap")
     for path in (first, second):
         (told,) = json.loads(copy.run("gpusimbench.evaluator.cli.info", str(path), "--json", "-"))["files"]
-        assert told["provenance"]["configuration"]["comment"] == "hello"
+        assert told["provenance"]["configuration"]["rate"] == 50
+    assert " rate 50 " in " ".join(copy.run("gpusimbench.evaluator.cli.info", str(first)).split())
+    files = [str(path) for path in (first, second, other)]
+    copy.run("gpusimbench.evaluator.cli.eval", *files, "--json", "found.json", "--html", "page", "--no-cache")
+    groups = json.loads((copy.folder / "found.json").read_text(encoding="utf-8"))["groups"]
+    assert [(group["label"], group["rate"], group["n_run"]) for group in groups] == [
+        ("mujoco [rate=50]", 50, 2),
+        ("mujoco [rate=100]", 100, 1),
+    ]
+    assert "controller rate" in (copy.folder / "page" / "index.html").read_text(encoding="utf-8")
+    across = copy.run("gpusimbench.evaluator.cli.compare", str(first), str(other), code=5)
+    assert "differs in rate: 50.0 -> 100.0" in " ".join(across.split())
+
+
+@pytest.mark.slow
+def test_add_an_option_of_a_simulator(copy: Copy) -> None:
+    """List a new option, and tell groups apart by its value, also where the engine does not say it."""
+    file = "recorder/simulators/mujoco/simulator.py"
+    copy.edit(file, "    threads    0: as", "    flavour    any number\n    threads    0: as")
+    copy.edit(file, "    threads: int = 0\n", "    threads: int = 0\n    flavour: int = 0\n")
+    assert "any number" in copy.run("gpusimbench.recorder.cli", "--list", "mujoco")
+    wanted = ["--scene", "free-fall", "--n-env", "2", "--runs", "1", "--steps", "20", "--phases", "capture"]
+    for value in (1, 2):
+        copy.run("gpusimbench.recorder.cli", "--sim", "mujoco", *wanted, f"--option=flavour={value}", "--out", "made")
+    files = sorted(str(path) for path in (copy.folder / "made").glob("*.mcap"))
+    copy.run("gpusimbench.evaluator.cli.eval", *files, "--json", "found.json", "--no-cache")
+    groups = json.loads((copy.folder / "found.json").read_text(encoding="utf-8"))["groups"]
+    assert [(group["label"], group["options"]["flavour"]) for group in groups] == [
+        ("mujoco [flavour=1]", "1"),
+        ("mujoco [flavour=2]", "2"),
+    ]
 
 
 @pytest.mark.slow

@@ -12,9 +12,10 @@ from pathlib import Path
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference
 from gpusimbench.evaluator.diff.verdict import apart, equal_before, gap_before, place_of
-from gpusimbench.evaluator.diff.words import amount, length
+from gpusimbench.evaluator.diff.words import amount
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.numbers import length
 from gpusimbench.schemas.errors import ExitCode, GsbError, NothingComparable
 
 STATES, GSB_COMPARE = "states", "gsb-compare"

@@ -46,6 +46,14 @@ exit codes:
   5  a run cannot be replayed here (the message says what is missing), was refused or stopped because it would take
      too much memory, time or disk, or the replays are too few to decide
 
+files:
+  OUT/NAME.mcap  a replay, a recording like any other
+
+see also:
+  gsb-record --replay, which only replays
+  gsb-diff, which shows where two part
+  docs/audit.md
+
 examples:
   gsb-audit theirs.mcap
   gsb-audit theirs/*.mcap --runs 6 --require bit-identical --json audit.json
@@ -61,6 +69,11 @@ def parser() -> argparse.ArgumentParser:
         "Check recordings, run their configurations again on this machine (replays), and say how closely the results "
         "agree. Recordings of the same configuration are audited together.",
         _EPILOG,
+        reads=(
+            "CUDA_VISIBLE_DEVICES",
+            "GSB_ENVIRONMENTS",
+            "GSB_MADRONA_MODULE",
+        ),
     )
     p.add_argument("files", nargs="+", type=local_path, metavar="FILE", help="recordings (.mcap), or folders of them")
     p.add_argument(

@@ -47,6 +47,15 @@ exit codes:
   3  a recording is damaged
   5  the bad release does not differ, or releases next to the change could not be judged
 
+files:
+  OUT/VERSION/NAME.mcap  a run of that release, a recording like any other
+  OUT/environments/VERSION  a virtual environment with that release
+
+see also:
+  gsb-diff, which shows where two releases part
+  gsb-compare
+  docs/bisect.md
+
 examples:
   gsb-bisect --sim mujoco --good 3.2.0 --bad 3.9.0
   gsb-bisect --sim mujoco --good 3.2.0 --bad 3.9.0 --scene franka --predicate 'python judge.py' --out franka
@@ -60,6 +69,10 @@ def parser() -> Parser:
         "gsb-bisect",
         "Find the first release of an engine whose recordings differ from those of a good release; few are recorded.",
         _EPILOG,
+        reads=(
+            "CUDA_VISIBLE_DEVICES",
+            "GSB_MADRONA_MODULE",
+        ),
     )
     p.add_argument("--sim", required=True, metavar="NAME", help="simulator; see gsb-record --list")
     p.add_argument("--good", metavar="VERSION", help="release to compare with, the oldest")

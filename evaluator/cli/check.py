@@ -24,6 +24,12 @@ rules:
   benchmark: timed steps, evidence of work, clock rates, number of runs, one machine and one version a point. --rules
   takes a shipped set by its name, such as protocol-1 for older recordings, or a file.
 
+see also:
+  gsb-info, which shows one file
+  gsb-audit, which also runs it again
+  docs/check.md
+  docs/strangers.md
+
 examples:
   gsb-check recordings/*.mcap
   gsb-check --protocol submission/*.mcap --json findings.json
@@ -39,6 +45,7 @@ def parser() -> argparse.ArgumentParser:
         "Check recordings against rules: whether each file is whole, and whether the files agree with each other. The "
         "first line is the verdict; then each broken rule once, with the files that break it.",
         _EPILOG,
+        reads=("TMPDIR",),
     )
     p.add_argument(
         "files", nargs="*", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"

@@ -66,6 +66,13 @@ exit codes:
      one side has; or nothing could be compared. What neither side has (GPU memory on a CPU) is left out
   --history exits with 4 only with --gate, for a change at the newest version
 
+see also:
+  gsb-eval, for one set
+  gsb-diff, for two files
+  docs/compare.md
+  docs/history.md
+  docs/how-to/ci.md
+
 examples:
   gsb-compare base/ head/
   gsb-compare base/ head/ --all
@@ -84,6 +91,7 @@ def parser() -> argparse.ArgumentParser:
         "Compare two sets of recordings, base and head: is head slower, does it take more memory, is its physics "
         "different, does it fail, did it lose determinism? Tests keep false alarms rare (--alpha).",
         _EPILOG,
+        reads=("GSB_CACHE", "OMP_NUM_THREADS"),
     )
     p.add_argument("sets", nargs="*", type=place, metavar="SET", help="base and head: folders of recordings, or files")
     p.add_argument(

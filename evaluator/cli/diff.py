@@ -28,6 +28,11 @@ exit codes:
   4  they differ
   5  they have nothing in common that could be compared
 
+see also:
+  gsb-audit, which replays first
+  gsb-eval, for sets of runs
+  docs/diff.md
+
 examples:
   gsb-diff before.mcap after.mcap
   gsb-diff run.mcap

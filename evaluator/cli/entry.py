@@ -9,7 +9,7 @@ import os
 import shlex
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import write_json
@@ -44,12 +44,15 @@ _NO_THREAD = "can't start new thread"
 """What Python says of a thread whose stack finds no memory."""
 
 
-def new_parser(command: str, description: str, epilog: str) -> Parser:
-    """A parser of a command's arguments, with what all commands have."""
+def new_parser(command: str, description: str, epilog: str, reads: Iterable[str] = ()) -> Parser:
+    """A parser of a command's arguments, with what all commands have.
+
+    reads  variables of the environment, as of add_common, beside that of the Progress of every command
+    """
     p = Parser(
         prog=command, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    add_common(p)
+    add_common(p, reads=sorted({*reads, "GSB_PROGRESS"}))
     return p
 
 

@@ -29,6 +29,12 @@ exit codes:
   3  a recording is damaged
   5  nothing was evaluated: an environment has fewer than K episodes, there are none, or no flag was recorded
 
+see also:
+  gsb-info, which counts episodes
+  gsb-diff, which shows where two recordings part
+  docs/how-to/evaluate-a-policy.md
+  docs/how-to/record-your-task.md
+
 examples:
   gsb-episodes policy.mcap --success success --per-env 4
   gsb-episodes policy.mcap --success success --per-env 1 --against baseline.mcap

@@ -41,6 +41,15 @@ exit codes:
   3  the rest was evaluated, but a file is damaged, cut short or no recording, or a recording lost data
   5  no recording could be evaluated
 
+files:
+  CACHE/  what was read and computed, by content and version; it may be deleted at any time
+
+see also:
+  gsb-record, which makes recordings
+  gsb-check, which holds them against rules
+  docs/metrics.md
+  docs/statistics.md
+
 examples:
   gsb-eval recordings/*.mcap
   gsb-eval recordings/*.mcap --html report/ --published
@@ -57,6 +66,7 @@ def parser() -> argparse.ArgumentParser:
         "Compute throughput, memory, variability and alignment from recordings. Files are grouped by what they hold: "
         "simulator, version, switches, scene, environments, step, device.",
         _EPILOG,
+        reads=("GSB_CACHE", "OMP_NUM_THREADS"),
     )
     p.add_argument(
         "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"

@@ -29,6 +29,16 @@ exit codes:
   2  wrong usage
   3  a recording is damaged
 
+files:
+  OUT/NAME.mcap  the reference, the start and the fitted options, recordings like any other
+  OUT/evaluations.csv  a row for each evaluation
+
+see also:
+  gsb-record --fitted, which says what was fitted
+  gsb-eval
+  docs/how-to/cube-toss.md
+  docs/check.md
+
 examples:
   gsb-fit --sim mujoco --parameters solref
   gsb-fit --sim warp --parameters friction --dt 0.0016891891891891892
@@ -42,6 +52,11 @@ def parser() -> Parser:
         "gsb-fit",
         "Fit options of a simulator to measured tosses of a cube: search on even tosses, judge by odd ones.",
         _EPILOG,
+        reads=(
+            "CUDA_VISIBLE_DEVICES",
+            "GSB_CUBE_TOSS",
+            "GSB_ENVIRONMENTS",
+        ),
     )
     p.add_argument("--sim", required=True, metavar="NAME", help="simulator; see gsb-record --list")
     p.add_argument(

@@ -45,6 +45,15 @@ exit codes:
   4  an engine differs, or refuses the model
   5  nothing can be compared
 
+files:
+  OUT/NAME.mcap  a run, a recording like any other
+
+see also:
+  gsb-record --model, which makes its runs
+  gsb-probe
+  docs/how-to/my-robot.md
+  docs/how-to/what-the-importer-lost.md
+
 examples:
   gsb-import robot.xml --sim warp,mjx
   gsb-import robot.xml --sim warp --option solver=Newton --json -
@@ -58,6 +67,10 @@ def parser() -> Parser:
         "gsb-import",
         "Compare what engines made of a model file with what MuJoCo C made of it: parameters, kinematics, responses.",
         _EPILOG,
+        reads=(
+            "CUDA_VISIBLE_DEVICES",
+            "GSB_ENVIRONMENTS",
+        ),
     )
     p.add_argument(
         "files", nargs="+", type=place, metavar="FILE",

@@ -19,6 +19,11 @@ exit codes:
   2  wrong usage
   3  a file is damaged, cut short or not a recording; what can be read is shown
 
+see also:
+  gsb-check, which says rule by rule what is wrong
+  docs/check.md
+  schemas/README.md
+
 examples:
   gsb-info recordings/mujoco-amd-r0.mcap
   gsb-info recordings/mujoco-amd-r0.mcap --all
@@ -34,6 +39,7 @@ def parser() -> argparse.ArgumentParser:
         "Show what a recording contains: simulator, scene, machine, times, states, and who made it. The whole file is "
         "verified.",
         _EPILOG,
+        reads=("TMPDIR",),
     )
     p.add_argument(
         "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"

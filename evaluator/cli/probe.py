@@ -53,6 +53,14 @@ exit codes:
   4  with --gate: an answer is no
   5  with --gate: an answer is open; without: nothing could be asked
 
+files:
+  OUT/NAME.mcap  a run, a recording like any other
+
+see also:
+  gsb-record, which makes its runs
+  gsb-diff, which shows where two part
+  docs/probe.md
+
 examples:
   gsb-probe --sim mujoco --quick
   gsb-probe --sim mjx,warp --determinism default,run-to-run --out invariance
@@ -68,6 +76,11 @@ def parser() -> Parser:
         "Ask a simulator whether its results depend on what should not matter: record short runs that differ in one "
         "thing alone, and compare them bit by bit.",
         _EPILOG,
+        reads=(
+            "CUDA_VISIBLE_DEVICES",
+            "GSB_ENVIRONMENTS",
+            "GSB_MADRONA_MODULE",
+        ),
     )
     p.add_argument("files", nargs="*", type=place, metavar="FILE", help="recordings of a probe, or folders of them")
     p.add_argument("--sim", metavar="NAME[,NAME]", help="simulators to probe; see gsb-record --list")

@@ -34,6 +34,16 @@ exit codes:
   4  runs differ
   5  there is nothing to compare, or not all of it: a recording that one run lacks or did not end
 
+files:
+  OUT/run-K/  a run: recordings that the program wrote, and output.txt, what it printed
+  OUT/run-K/program.json  the command, and digests of the files that it names
+
+see also:
+  gsb-diff, which compares two recordings
+  gsb-audit --command, which runs a program again
+  docs/how-to/is-my-training-reproducible.md
+  docs/how-to/record-your-task.md
+
 examples:
   gsb-run -- python train.py --seed 3
   gsb-run --json - -- python train.py --seed 3 | jq .verdict
@@ -48,6 +58,7 @@ def parser() -> argparse.ArgumentParser:
         "Run a program several times, and say whether the runs are the same bit for bit, or which of simulator, "
         "actions, policy, gradient and batch differs first.",
         _EPILOG,
+        reads=("CUDA_VISIBLE_DEVICES",),
     )
     p.add_argument(
         "program", nargs=argparse.PARSER, metavar="PROGRAM", help="the program, and behind it all that it is given"

@@ -39,6 +39,12 @@ exit codes:
   4  verify: the parts of the set do not agree; card, verify: a recording breaks a rule
   5  card, verify: there is no recording; leaderboard: nothing has a place
 
+see also:
+  gsb-check, for what recover made
+  docs/share.md
+  docs/dataset.md
+  docs/strangers.md
+
 examples:
   gsb-share pack recordings/*.mcap --out packed
   gsb-share unpack packed/*.mcap --out unpacked
@@ -72,6 +78,7 @@ def parser() -> argparse.ArgumentParser:
         "Foxglove and other viewers; describe, check and rank sets of recordings. No recording is changed "
         "or overwritten.",
         _EPILOG,
+        reads=("GSB_CACHE",),
     )
     verbs = p.add_subparsers(dest="verb", required=True, metavar="VERB")
     for verb, what in (("pack", "copies with packed states"), ("unpack", "copies with states and actions as they are")):

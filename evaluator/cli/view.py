@@ -34,6 +34,12 @@ exit codes:
   3  a file is damaged or not a recording; or a recording is cut short or lost data, and what is there is shown
   5  a file holds no states, so there is nothing to show
 
+see also:
+  gsb-diff, which says in numbers where two part
+  gsb-share viewer
+  docs/view.md
+  docs/viewers.md
+
 examples:
   gsb-view recordings/h200/physx-spacing-0-inclined-collision-n16-r0.mcap
   gsb-view recordings/mujoco-xeon-r0.mcap recordings/mujoco-pyramidal-r0.mcap --out view.html --no-open

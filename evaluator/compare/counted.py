@@ -72,7 +72,8 @@ def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, cert
 
 
 def _said(row: FidelityRow) -> str:
-    said = f"BROKEN {row.broken} of {row.count}" if row.verdict is Verdict.BROKEN else row.verdict.value
+    broken = row.found if row.verdict is Verdict.BROKEN else None
+    said = f"BROKEN {broken.broken} of {broken.count}" if broken else row.verdict.value
     return f"{said} ({NEWEST.value})"
 
 

@@ -17,6 +17,7 @@ from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, precisions
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.commands.suggestion import did_you_mean
+from gpusimbench.schemas.configuration import TELLING
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.text import cut, few, first, plural
@@ -149,7 +150,7 @@ def _why(group: Group[Run], others: Groups, across: Collection[str]) -> str:
         nearest = min((_apart(wanted, without_seeds(anywhere(g, across), g)) for g in others), key=len, default={})
         if not nearest:
             return said
-        keys = {field.name for field in fields(GroupKey)}
+        keys = {*(field.name for field in fields(GroupKey)), *TELLING}
         across_these = [f"--across {name}" for name in nearest if name in ACROSS or name not in keys]
         how = f"; {' '.join(across_these)} compares the two" if len(across_these) == len(nearest) else ""
         return f"{said}; the most similar group differs in {few(list(nearest.values()), _NEAR)}{how}"
@@ -166,6 +167,8 @@ def _apart(one: GroupKey, other: GroupKey) -> dict[str, str]:
         if field.name == "options":
             of_one, of_other = json.loads(here or "{}"), json.loads(there or "{}")
             found |= {name: _arrow(name, *values) for name, values in _unequal(of_one, of_other).items()}
+        elif field.name == "settings":
+            found |= {name: _arrow(name, *values) for name, values in _unequal(one.told, other.told).items()}
         elif here != there:
             found[field.name] = _arrow(field.name, here, there)
     return found
@@ -182,6 +185,8 @@ def _differences(base: Group[Run], head: Group[Run]) -> tuple[str, ...]:
             continue  # of a run that was never built, nothing is known but what was asked
         if field.name in ("options", "switches", "conditions"):
             found += _entries(json.loads(one or "{}"), json.loads(other or "{}"))
+        elif field.name == "settings":
+            found += _entries(*(key.told for key in keys))
         elif field.name == "layout" and precisions(base.key) != precisions(head.key):
             found.append(_arrow("precision", *(" and ".join(precisions(side.key)) for side in (base, head))))
         elif field.name in ("layout", "origins"):

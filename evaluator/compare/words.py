@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from gpusimbench.evaluator.compare.compare import Compared, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
 from gpusimbench.evaluator.episodes.document import difference, number
-from gpusimbench.evaluator.render.numbers import NONE, figure
-from gpusimbench.evaluator.report.words import size
+from gpusimbench.evaluator.render.numbers import NONE, figure, scaled
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.schemas.text import plural
 
@@ -220,7 +219,7 @@ def _amount(value: float | None, said: str, finding: Finding) -> str:
     if value is None:
         return NONE
     if finding.unit == "B":
-        return size(value, "#.4g")
+        return scaled(value, "B", "#.4g")
     if finding.axis in (Axis.EPISODES, Axis.LENGTHS):
         return number(value, finding.name)  # returns and lengths of any size, beside an interval with as many digits
     return f"{value:.3g}" if finding.unit == "s" else figure(value, finding.unit)

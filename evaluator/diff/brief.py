@@ -7,6 +7,7 @@ from gpusimbench.evaluator.diff.result import Contacts, Difference, Divergence, 
 from gpusimbench.evaluator.diff.verdict import both_of, equal_before, pair_of, step_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Facts, facts
+from gpusimbench.evaluator.render.numbers import length
 from gpusimbench.schemas.text import plural
 
 _ITEMS, _FIELDS, _NAMES, _CHANGES, _CLASSES = 6, 8, 4, 4, 3
@@ -110,7 +111,7 @@ def _growth(growth: Growth) -> Pairs:
     last = next((row for row in reversed(range(len(growth.times))) if growth.largest[row] is not None), None)
     parts = []
     if last is not None:
-        parts.append(f"bodies up to {words.length(growth.largest[last])} apart at {growth.times[last]:g} s")
+        parts.append(f"bodies up to {length(growth.largest[last])} apart at {growth.times[last]:g} s")
     if growth.fallen:
         fell = f"without {plural(growth.fallen, 'body', 'bodies')} that fell off the board"
         parts.append(fell if growth.max_not_fallen else "all of which fell off the board")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Change, Difference, Divergence, Growth
 from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.render.figures import axis, lines, palette
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, open_path, text, title
+from gpusimbench.evaluator.render.numbers import length
 from gpusimbench.schemas.text import plural, printable
 
 _WIDTH, _LEFT, _RIGHT = 640.0, 84.0, 20.0
@@ -100,7 +100,7 @@ def _distances(
     parts = []
     for tick in axis.log_ticks(low, high):
         parts.append(element("line", x1=_LEFT, x2=_LEFT + _SIDE, y1=y(tick), y2=y(tick), class_="faint"))
-        parts.append(axis.left(_LEFT, y(tick), words.length(tick)))
+        parts.append(axis.left(_LEFT, y(tick), length(tick)))
     for index, name, values in series:
         points = [(_x(t, times), y(d)) for t, d in zip(growth.times, values, strict=True) if d]
         marks = [lines.mark(index, *p) for p in points[:: -(-len(points) // _MARKED_POINTS)]]

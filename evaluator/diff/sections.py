@@ -24,7 +24,7 @@ from gpusimbench.evaluator.render.document import (
     items,
     table,
 )
-from gpusimbench.evaluator.render.numbers import NONE, ulps
+from gpusimbench.evaluator.render.numbers import NONE, length, ulps
 from gpusimbench.schemas.text import cut, plural
 
 _REMARKS, _VALUE, _CHANGES, _CLASSES = 3, 48, 8, 8
@@ -133,7 +133,7 @@ def _distances(growth: Growth | Missing) -> Section:
         "",
         ("t [s]", "median, planar", "max, planar", "median, 3D", "max, 3D"),
         [
-            [f"{growth.times[row]:g}", *(Cell(words.length(column[row]), column[row]) for column in columns)]
+            [f"{growth.times[row]:g}", *(Cell(length(column[row]), column[row]) for column in columns)]
             for row in _chosen(growth)
         ],
     )
@@ -160,7 +160,7 @@ def _growth(growth: Growth) -> list[str]:
     if growth.fallen and growth.max_not_fallen:
         lines.append(
             f"without {plural(growth.fallen, 'body', 'bodies')} that fell off the board in either recording: up to "
-            f"{words.length(growth.largest[-1])} apart in the end; what follows is of these distances"
+            f"{length(growth.largest[-1])} apart in the end; what follows is of these distances"
         )
     lines += reached(growth)
     fit = growth.fit

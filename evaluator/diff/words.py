@@ -11,7 +11,7 @@ from gpusimbench.evaluator.diff.program_parts import Kind, Part, ProgramDifferen
 from gpusimbench.evaluator.diff.result import Change, Number
 from gpusimbench.evaluator.metrics.divergence import opposite_signs
 from gpusimbench.evaluator.render.document import Cell, Section, table
-from gpusimbench.evaluator.render.numbers import NONE, ulps, unit_of
+from gpusimbench.evaluator.render.numbers import NONE, length, ulps
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.text import cut, few, plural
 
@@ -97,21 +97,6 @@ def section(found: ProgramDifference, dt: float) -> Section:
     return Section(
         "program", "parts of the program", (made,), f"{plural(same, 'other state field')} the same throughout"
     )
-
-
-_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9}
-
-
-def length(metres: float | None) -> str:
-    """A distance in the unit that suits its size; a dash where there is none."""
-    if metres is None:
-        return NONE
-    if metres == 0:
-        return "0"
-    if (found := unit_of(metres, _LENGTHS)) is None:
-        return f"{metres:.2g} m"
-    unit, size = found
-    return f"{metres / size:.3g} {unit}"
 
 
 def amount(value: float | None, unit: str) -> str:

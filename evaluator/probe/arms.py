@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import GroupKey, key_of
-from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.configuration import TELLING, RunConfiguration
 from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.treatment import (
     Given,
@@ -69,7 +69,7 @@ def name_of(arms: Arms) -> str:
     key = arms.key
     level = "" if key.determinism == "default" else f", determinism {key.determinism}"
     options = "".join(f", {name}={value}" for name, value in json.loads(key.options).items())
-    options += f", vary {key.vary}" if key.vary else ""
+    options += "".join(f", {name} {TELLING[name].words(value)}" for name, value in key.settings)
     return f"{key.simulator} {key.version}{level}{options} on {key.device}, {key.scene}"
 
 
@@ -113,11 +113,9 @@ def _together(c: RunConfiguration) -> bool:
 def _common(recording: Recording) -> GroupKey:
     options = json.dumps(recording.configuration.options, sort_keys=True)
     key = key_of(recording)
-    vary = str(Vary.parse(key.vary).usual) if key.vary else ""
-    return replace(
-        key, n_env=0, initial="", vary=vary, intervention="", warmup=0, timed_steps=0, layout="", origins="",
-        options=options,
-    )  # fmt: skip
+    vary = recording.configuration.vary
+    key = key.with_settings(initial="", vary=vary and str(Vary.parse(vary).usual), intervention="")
+    return replace(key, n_env=0, warmup=0, timed_steps=0, layout="", origins="", options=options)
 
 
 def _without_followers(found: dict[GroupKey, list[Recording]]) -> dict[GroupKey, list[Recording]]:

@@ -22,7 +22,9 @@ def probe_record(probed: Probed) -> dict[str, Any]:
     """One configuration and its answers."""
     arms, findings = probed
     return {
-        **picked(arms.key, "simulator version device scene determinism options vary seed"),
+        **picked(arms.key, "simulator version device scene determinism options seed"),
+        # what the arms of a probe differ in is no setting of all of them
+        **{name: value for name, value in arms.key.told.items() if name not in ("initial", "intervention")},
         "n_env": arms.n_env,
         "numbers": sorted(arms.by_number),
         "verdict": verdict_of(findings),

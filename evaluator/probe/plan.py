@@ -145,11 +145,14 @@ class Plan:
     def has(self, c: RunConfiguration) -> bool:
         """Whether a run is an arm of this plan."""
         scene, wanted = (c.model, self.model.sha256) if self.model else (c.registered_scene, self.scene)
-        found = (c.simulator, scene, c.determinism, c.seed, c.steps, c.stride, c.option_words, c.vary)
+        found = (c.simulator, scene, c.determinism, c.seed, c.steps, c.stride, c.option_words)
         asked = (
             self.simulator, wanted, self.determinism, self.seed, self.steps, self._stride(c.n_env),
-            sorted(self.options), self._varied(c.initial),
+            sorted(self.options),
         )  # fmt: skip
+        settings = {"initial": c.initial, "vary": self._varied(c.initial), "intervention": c.intervention}
+        if dict(c.settings) != {name: value for name, value in settings.items() if value}:
+            return False
         return found == asked and arm_of(c) in {*self.arms(), self.priced}
 
     def _varied(self, begins: str) -> str:

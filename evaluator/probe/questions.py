@@ -288,7 +288,7 @@ def _device(arms: Arms) -> Asked | Missing:
 
 def _begun(arms: Arms) -> str:
     """What differs between environments, and goes with them into other slots."""
-    return "initial states and parameters" if arms.key.vary else "initial states"
+    return "initial states and parameters" if arms.key.told["vary"] else "initial states"
 
 
 QUESTIONS = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from decimal import Decimal
 
 from gpusimbench.evaluator.missing import Missing
@@ -74,9 +73,29 @@ def ulps(count: int | None, *, signs_differ: bool = False) -> str:
     return f"{count:,}" if count < 10**7 else f"{count:.2e}"
 
 
-def unit_of(value: float, units: Mapping[str, float]) -> tuple[str, float] | None:
-    """The first of the units, by size, in which the value is 1 or more in three digits, and its size; or None."""
-    return next(((unit, size) for unit, size in units.items() if abs(value) >= 0.9995 * size), None)
+_MULTIPLES = {
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "µrad": 1e-6, "nrad": 1e-9},
+    "B": {"GB": 1e9, "MB": 1e6, "kB": 1e3, "B": 1.0},
+}
+"""By unit, those that its values are written in, the largest first."""
+
+
+def scaled(value: float, unit: str, digits: str = ".3g") -> str:
+    """A value in m, rad or B, written in the multiple of the unit in which it is 1 or more in three digits."""
+    of_unit = _MULTIPLES[unit].items()
+    name, size = next(((name, size) for name, size in of_unit if abs(value) >= 0.9995 * size), (unit, 0.0))
+    if not size:
+        return f"{value:.2g} {unit}"
+    amount = value / size
+    return f"{format(amount, ',.0f' if 999.5 <= abs(amount) < 1e6 else digits).rstrip('.')} {name}"
+
+
+def length(metres: float | None) -> str:
+    """A distance in the unit that suits its size; a dash where there is none."""
+    if metres is None:
+        return NONE
+    return scaled(metres, "m") if metres else "0"
 
 
 _LEAST_S = 0.001

@@ -14,16 +14,17 @@ from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Facts, Table, Text, Tone, table
+from gpusimbench.evaluator.render.numbers import scaled
 from gpusimbench.evaluator.report.sections.failing import counted, failing_table
 from gpusimbench.evaluator.results.timed_work import SHORT_S
 from gpusimbench.evaluator.runs.memory import described
 from gpusimbench.schemas import __version__
-from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
+from gpusimbench.schemas.configuration import MAX_VIEW, TELLING, RunConfiguration
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
 from gpusimbench.schemas.text import cut, ordinal, plural
-from gpusimbench.schemas.treatment import VARIED, initial_words
+from gpusimbench.schemas.treatment import initial_words
 from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS
 
 SCHEMA_VERSION = 1
@@ -38,7 +39,7 @@ _LONGEST = 600
 
 
 _FIRST = (
-    "status", "integrity", "CAUTION", "sha256", "recorded", "simulator", "scene", "size", "varied", "protocol",
+    "status", "integrity", "CAUTION", "sha256", "recorded", "simulator", "scene", "size", *TELLING, "protocol",
     "determinism", "machine", "gpu 0", "throughput", "states", "episodes", "hashed", "failed", "not read", "gate",
     "LOST",
 )  # fmt: skip
@@ -163,10 +164,8 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
         yield "size", f"{plural(c.n_env, 'trial')}, measured {times}"
     else:
         yield "size", f"{plural(c.n_env, 'environment')}, dt {c.dt:g} s, {_seed(c)}"
-        if c.initial:
-            yield "initial", f"{initial_words(c.initial)}: environments do not begin in the scene's first state"
-        if c.vary:
-            yield "varied", f"{c.vary}: factors of each environment, in {VARIED}"
+        for name, value in c.settings:
+            yield name, ": ".join(filter(None, (TELLING[name].words(value), TELLING[name].note)))
         yield "protocol", "; ".join(_asked(c))
         yield "determinism", c.determinism + (" (the engine as it ships)" if c.determinism == "default" else "")
     given = c.options
@@ -201,13 +200,13 @@ def _where(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
     host = {name: brief(value) for name, value in p.host.items()}
     if host:
         threads = f"{host.get('usable_threads', '?')} of {host.get('threads', '?')} threads"
-        memory = f", {_bytes(host['memory_bytes'])}" if isinstance(host.get("memory_bytes"), int) else ""
+        memory = f", {scaled(host['memory_bytes'], 'B')}" if isinstance(host.get("memory_bytes"), int) else ""
         yield "machine", f"{host.get('cpu', 'processor not told')}, {threads}{memory}"
         yield "system", f"{host.get('system', '?')} {host.get('kernel', '')}, {host.get('libc', '')}"
     for number, told in enumerate(p.gpus):
         gpu = {name: brief(value) for name, value in told.items()}
         used = "" if s is None or s.device == gpu.get("name") else ", which the simulator does not step on"
-        memory = f", {_bytes(gpu['memory_bytes'])}" if isinstance(gpu.get("memory_bytes"), int) else ""
+        memory = f", {scaled(gpu['memory_bytes'], 'B')}" if isinstance(gpu.get("memory_bytes"), int) else ""
         yield f"gpu {number}", f"{gpu.get('name', 'name not told')}{memory}, driver {gpu.get('driver', '?')}{used}"
     packages = p.software.get("packages")
     versions = {"Python": p.software.get("python", "?"), **(packages if isinstance(packages, dict) else {})}
@@ -259,10 +258,10 @@ def _co_tenants(found: CoTenancy) -> str:
 
 
 def _memory(source: str, memory: Memory) -> str:
-    baseline = "no baseline" if memory.baseline is None else f"baseline {_bytes(memory.baseline)}"
-    total = f" of {_bytes(memory.total)}" if memory.total else ""
+    baseline = "no baseline" if memory.baseline is None else f"baseline {scaled(memory.baseline, 'B')}"
+    total = f" of {scaled(memory.total, 'B')}" if memory.total else ""
     what = _SOURCES.get(source.rpartition("/")[2], "")
-    return f"{source}{f' ({what})' if what else ''}: {baseline}, peak {_bytes(memory.peak)}{total}"
+    return f"{source}{f' ({what})' if what else ''}: {baseline}, peak {scaled(memory.peak, 'B')}{total}"
 
 
 _QUANTITIES = {
@@ -302,7 +301,7 @@ def _episodes(counts: EpisodeCounts) -> str:
 def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
     recorded = [array for array in found.arrays if array.shape[0]]
     if recorded:
-        size = _bytes(sum(array.bytes for array in recorded))
+        size = scaled(sum(array.bytes for array in recorded), "B")
         kinds = " and ".join(dict.fromkeys(array.dtype for array in recorded))
         groups = ", ".join(dict.fromkeys(array.name.partition("/")[0] for array in recorded))
         yield "states", f"of {groups}, in {kinds}, at {plural(recorded[0].shape[0], 'step')}: {size}"
@@ -318,7 +317,7 @@ def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
     if found.failing and found.provenance:
         yield "failed", counted(found.failing, found.provenance.configuration.n_env)
     for array in found.actions:
-        yield "actions", f"{array.name}: {_bytes(array.stored_bytes)}"
+        yield "actions", f"{array.name}: {scaled(array.stored_bytes, 'B')}"
     for phase, names in found.counters.items():
         yield "counted", f"{phase}: {', '.join(names)}"
     if found.hashes:
@@ -334,26 +333,13 @@ def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
         yield "view", f"environment {shown}; for Foxglove, Lichtblick and rerun, which take the file as it is"
     yield "attached", ", ".join(found.attachments) or "nothing"
     if found.container:
-        chunks = ", ".join(f"{count} {name}" for name, count in found.container.chunks.items()) or "none"
-        yield (
-            "file",
-            (
-                f"{_bytes(found.container.bytes)}; chunks: {chunks}, {_bytes(found.container.unpacked_bytes)} in "
-                f"{_bytes(found.container.stored_bytes)}; by {found.container.library or 'a tool without a name'}"
-            ),
-        )
+        c = found.container
+        chunks = ", ".join(f"{count} {name}" for name, count in c.chunks.items()) or "none"
+        size, unpacked, stored = (scaled(count, "B") for count in (c.bytes, c.unpacked_bytes, c.stored_bytes))
+        yield "file", f"{size}; chunks: {chunks}, {unpacked} in {stored}; by {c.library or 'a tool without a name'}"
 
 
 def _columns(array: Array) -> tuple[str, ...]:
-    packed = f" in {_bytes(array.stored_bytes)}" if any(array.encodings) else ""
+    packed = f" in {scaled(array.stored_bytes, 'B')}" if any(array.encodings) else ""
     shape = "x".join(map(str, array.shape))
-    return array.name, shape, array.unit, array.frame, f"{_bytes(array.bytes)}{packed}"
-
-
-def _bytes(count: int) -> str:
-    value = float(count)
-    for unit in ("B", "kB", "MB", "GB"):
-        if value < 1000 or unit == "GB":
-            break
-        value /= 1000
-    return f"{count} B" if unit == "B" else f"{value:.3g} {unit}" if value < 1000 else f"{value:,.0f} {unit}"
+    return array.name, shape, array.unit, array.frame, f"{scaled(array.bytes, 'B')}{packed}"

@@ -96,7 +96,8 @@ def _group(result: GroupResult) -> dict[str, Any]:
     key = result.group.key
     return {
         "label": result.label,
-        **picked(key, "simulator version device scene n_env dt seed determinism initial vary intervention keep"),
+        **picked(key, "simulator version device scene n_env dt seed determinism"),
+        **key.told,
         "options": json.loads(key.options),
         "switches": json.loads(key.switches) if key.switches else {},
         "n_run": len(result.group.complete),
@@ -128,7 +129,8 @@ def _validity(validity: Validity) -> dict[str, Any]:
 def _sweep(sweep: Sweep) -> dict[str, Any]:
     return {
         "label": sweep.label,
-        **picked(sweep.key, "simulator version device scene dt determinism initial vary intervention keep"),
+        **picked(sweep.key, "simulator version device scene dt determinism"),
+        **sweep.key.told,
         **picked(sweep, "n_max ends"),
         "points": [_point(point) for point in sweep.points],
         "memory_models": {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from markupsafe import Markup
 
@@ -12,7 +13,8 @@ from gpusimbench.evaluator.render.csv import Cell
 from gpusimbench.evaluator.render.document import Figure, Numbers, key_of
 from gpusimbench.evaluator.render.figures import lines
 from gpusimbench.evaluator.render.figures.scaling import Curve, Foreign, scaling_chart
-from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.render.numbers import scaled
+from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.cost_metrics import DEVICE_MEMORY, FPS, HOST_MEMORY, PROCESS_MEMORY
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.published import SCALING, AtLargest
@@ -71,7 +73,7 @@ def _charts(scene: str, sweeps: Sequence[Sweep], paper: dict[str, AtLargest], ke
     for metric in _MEMORY:
         memory = [Foreign(name, at.n_env_max, at.memory_gb * 1e9) for name, at in paper.items()]
         if metric is DEVICE_MEMORY or not paper:
-            yield _chart(words.size, sweeps, metric, memory, f"{key}-{key_of(metric.title)}", about)
+            yield _chart(partial(scaled, unit="B"), sweeps, metric, memory, f"{key}-{key_of(metric.title)}", about)
 
 
 def _chart(

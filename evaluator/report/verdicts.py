@@ -60,8 +60,9 @@ def for_probe(result: GroupResult) -> bool:
     """Whether the runs of a group answer a question of gsb-probe, and nothing else."""
     key = result.group.key
     # states that a user gave are no probe's, nor are those that a scene with laws in closed form draws
-    own = key.initial and not key.initial.startswith("states:") and not judged(result)
-    done = Intervention.of(key.intervention)
+    initial = key.told["initial"]
+    own = initial and not initial.startswith("states:") and not judged(result)
+    done = Intervention.of(key.told["intervention"])
     changed = done and done.kind.probed
     return bool(changed or (own and isinstance(result.metrics[FPS.name].value, Missing)))
 

@@ -10,7 +10,7 @@ from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.metrics.memory import MemoryModel
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.read.described import Described
-from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd, unit_of
+from gpusimbench.evaluator.render.numbers import NONE, distance, length, mean_sd, scaled
 from gpusimbench.evaluator.results.details import (
     BetweenRuns,
     CaptureOverhead,
@@ -92,17 +92,9 @@ def capturing(metric: Estimate) -> str:
     return f"{metric.value:.3g}x; {metric.of(CaptureOverhead).stalled_share:.1%} of the time waiting for the disk"
 
 
-def size(value: float, digits: str = ".3g") -> str:
-    """An amount of memory [bytes] in a fitting decimal unit."""
-    if (found := unit_of(value, {"GB": 1e9, "MB": 1e6, "kB": 1e3})) is None:
-        return f"{value:.0f} B"
-    unit, scale = found
-    return f"{format(value / scale, digits).rstrip('.')} {unit}"
-
-
 def amount(metric: Estimate) -> str:
     """Mean of a metric of memory, in three digits."""
-    return NONE if isinstance(metric.value, Missing) else size(metric.value * metric.metric.per_unit, "#.3g")
+    return NONE if isinstance(metric.value, Missing) else scaled(metric.value * metric.metric.per_unit, "B", "#.3g")
 
 
 def shared(fps: Estimate) -> str:
@@ -114,10 +106,10 @@ def shared(fps: Estimate) -> str:
 
 def model(found: MemoryModel) -> str:
     """The memory model with its errors, and where it does not hold."""
-    line = (
-        f"{size(found.fixed)} (± {size(found.fixed_se)}) + {size(found.per_env)} (± {size(found.per_env_se)}) per env, "
-        f"from {len(found.n)} points"
+    fixed, its_error, each, error_of_each = (
+        scaled(bytes_, "B") for bytes_ in (found.fixed, found.fixed_se, found.per_env, found.per_env_se)
     )
+    line = f"{fixed} (± {its_error}) + {each} (± {error_of_each}) per env, from {len(found.n)} points"
     worst = f"largest error {100 * found.largest_residual:.0f} %, at N = {found.worst_n:,}"
     return f"{line}; {worst}" if found.holds else f"{line}; does NOT hold: {worst}"
 
@@ -132,7 +124,7 @@ def equality(metric: Estimate) -> str:
         return "different, though not at the sample step"
     if metric.value == Level.BIT_IDENTICAL and details.note:  # there are no state hashes
         return f"{details.text} at the sample step, no other was compared"
-    return f"{details.text}, {_length(worst.difference)} apart" if worst else details.text
+    return f"{details.text}, {length(worst.difference)} apart" if worst else details.text
 
 
 def all_alike(metric: Estimate) -> str:
@@ -141,11 +133,6 @@ def all_alike(metric: Estimate) -> str:
     if claim.holds is None:
         return f"not compared: {claim.why_not}"
     return "all alike, bit by bit" if claim.yes else ""
-
-
-def _length(metres: float) -> str:
-    unit, size = unit_of(metres, {"m": 1.0, "mm": 1e-3, "um": 1e-6}) or ("nm", 1e-9)
-    return f"{metres / size:.3g} {unit}"
 
 
 def doubling(metric: Estimate) -> str:

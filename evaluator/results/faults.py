@@ -71,13 +71,12 @@ def _held_against(result: GroupResult, engine: GroupKey, other: GroupResult) -> 
 def _engine(result: GroupResult) -> GroupKey:
     # packages, driver and variables may differ a little between scenes: what is wrong with one is held against all.
     # Given states, such as tosses, are others with another number of environments
-    asked = result.group.asked
-    initial = "" if asked.initial.startswith("states:") else asked.initial
-    return replace(asked, conditions="", switches="", initial=initial)
+    asked = replace(result.group.asked, conditions="", switches="")
+    return asked.with_settings(initial="") if asked.told["initial"].startswith("states:") else asked
 
 
 def _begun_anyhow(engine: GroupKey) -> GroupKey:
-    return replace(engine, initial="", vary="", keep="")
+    return engine.with_settings(initial="", vary="", keep="")
 
 
 def _invalid(result: GroupResult) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from gpusimbench.evaluator.missing import Missing
@@ -35,33 +35,20 @@ DEMANDED = sum(check.demanded for check in Check)
 class FidelityRow:
     """One check of one group.
 
-    mean         over environments (or stretches of sliding) of all runs that could be measured; None where none could,
-                 or where no value is finite
-    least, most  the range of the same
-    runs, count  runs that could be measured, and values they gave
-    of_runs      runs that were looked at: of the others nothing is known
-    low, high    what mechanics allows; None where that side is open
-    tolerance    that the step and the number type add on either side, by the formula `of`
-    broken       values beyond both
-    reason       why no run, or not every run, could be measured
-    notes        what else was found, each sentence once
+    runs     that could be measured
+    of_runs  runs that were looked at: of the others nothing is known
+    found    values of all runs that could be measured, without a note; None where none could
+    reason   why no run, or not every run, could be measured
+    notes    what else was found, each sentence once
     """
 
     check: Check
     verdict: Verdict
-    mean: float | None = None
-    least: float | None = None
-    most: float | None = None
-    runs: int = 0
-    count: int = 0
-    low: float | None = None
-    high: float | None = None
-    tolerance: float | None = None
-    of: str = ""
-    broken: int = 0
-    reason: str = ""
+    runs: int
+    of_runs: int
+    found: Measured | None
+    reason: str
     notes: tuple[str, ...] = ()
-    of_runs: int = 0
 
 
 @dataclass(frozen=True)
@@ -128,29 +115,21 @@ def _row(check: Check, facts: Sequence[Facts], of_runs: int) -> FidelityRow | No
     told = [fact for fact in found if isinstance(fact, Measured)]
     reason = "; ".join(dict.fromkeys(fact.reason for fact in found if isinstance(fact, Missing)))
     if not told:
-        return FidelityRow(check, Verdict.NOT_APPLICABLE, reason=reason, of_runs=of_runs)
+        return FidelityRow(check, Verdict.NOT_APPLICABLE, 0, of_runs, None, reason)
     means = [(fact.mean, fact.count) for fact in told if fact.mean is not None]
     weight = sum(share for _, share in means)
-    count, broken = sum(fact.count for fact in told), sum(fact.broken for fact in told)
     # runs of a group share scene and step; where rounding makes the tolerances differ, the largest is shown
-    widest = max(told, key=lambda fact: fact.tolerance)
-    return FidelityRow(
-        check,
-        _verdict(check, broken),
+    together = replace(
+        max(told, key=lambda fact: fact.tolerance),
         mean=sum(mean * share for mean, share in means) / weight if means else None,
         least=min((fact.least for fact in told if fact.least is not None), default=None),
         most=max((fact.most for fact in told if fact.most is not None), default=None),
-        runs=len(told),
-        count=count,
-        low=widest.low,
-        high=widest.high,
-        tolerance=widest.tolerance,
-        of=widest.of,
-        broken=broken,
-        reason=reason,
-        notes=tuple(dict.fromkeys(fact.note for fact in told if fact.note)),
-        of_runs=of_runs,
+        count=sum(fact.count for fact in told),
+        broken=sum(fact.broken for fact in told),
+        note="",
     )
+    notes = tuple(dict.fromkeys(fact.note for fact in told if fact.note))
+    return FidelityRow(check, _verdict(check, together.broken), len(told), of_runs, together, reason, notes)
 
 
 def _verdict(check: Check, broken: int) -> Verdict:

@@ -28,6 +28,7 @@ from gpusimbench.evaluator.results.group_runs import GroupRuns, no_positions
 from gpusimbench.evaluator.results.metric import Direction, Estimate, Metric, Table, each, missing
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.state_hashes import Histories, side_by_side
+from gpusimbench.schemas.configuration import deciding
 
 _MM_PER_M = 1000.0
 _HASHED = "64-bit state hashes of every captured step"
@@ -141,7 +142,7 @@ def comparable(run: Run) -> tuple[Any, ...]:
     c, simulation = run.configuration, run.simulation
     scene = simulation.scene.get("sha256") if simulation else None
     seed = c.seed if run.apart_by_design else 0
-    return (str(scene), c.n_env, c.dt, seed, c.initial, c.vary, c.intervention, run.fields)
+    return (str(scene), c.n_env, c.dt, seed, deciding(c.settings), run.fields)
 
 
 def _capture_effect(metric: Metric, group: GroupRuns) -> Estimate:

@@ -244,7 +244,8 @@ class Ranked:
 
 def configuration(result: GroupResult) -> Hashable:
     """What a group has in common with those that differ from it in the number of environments alone."""
-    return replace(result.group.key, n_env=0, initial="", origins="", warmup=0, timed_steps=0)
+    key = result.group.key.with_settings(initial="")
+    return replace(key, n_env=0, origins="", warmup=0, timed_steps=0)
 
 
 def ranked(results: Sequence[GroupResult], timed: Sequence[GroupResult] = ()) -> list[Ranked]:

@@ -11,7 +11,8 @@ from itertools import chain
 from typing import Any, Generic, TypeVar
 
 from gpusimbench.evaluator.read.described import Described
-from gpusimbench.schemas.provenance import REAL, engine_name
+from gpusimbench.schemas.configuration import TELLING, Settings
+from gpusimbench.schemas.provenance import REAL, Simulation, engine_name
 
 _D = TypeVar("_D", bound=Described, covariant=True)
 _R = TypeVar("_R", bound=Described)
@@ -31,16 +32,12 @@ class GroupKey:
     n_env, dt, seed     as asked; dt in seconds
     warmup, timed_steps protocol of the throughput phase, 0 where it was left out
     determinism         level that was asked for
-    initial             how environments begin, empty for all alike
-    vary                which of their parameters differ, empty for none
-    fitted              options that were fitted, and to what, empty for none
-    intervention        what is done to their state on the way, empty for nothing
-    keep                which states are written, empty for all
-    options             of the engine in force, JSON; as asked where the run ended before the engine said them
+    options             of the engine in force, JSON; as asked where the engine does not say them
     switches            determinism switches and precision in force, JSON
     conditions          environment variables, versions and driver that can change numbers, JSON
     layout              names, shapes, precision and frames of the state fields, JSON
     origins             of the environments, JSON
+    settings            what else was asked for that results can depend on: RunConfiguration.settings
     """
 
     simulator: str
@@ -59,11 +56,18 @@ class GroupKey:
     conditions: str
     layout: str
     origins: str
-    initial: str = ""
-    intervention: str = ""
-    keep: str = ""
-    vary: str = ""
-    fitted: str = ""
+    settings: Settings = ()
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """Every setting of TELLING by name, those that are empty included."""
+        given = dict(self.settings)
+        return {name: given.get(name, setting.key(setting.empty)) for name, setting in TELLING.items()}
+
+    def with_settings(self, **values: Any) -> GroupKey:
+        """The same key with other settings: by name, each as `told` has it."""
+        told = {**self.told, **values}
+        return replace(self, settings=tuple((name, value) for name, value in told.items() if value))
 
 
 @dataclass(frozen=True)
@@ -144,18 +148,23 @@ def key_of(recording: Described) -> GroupKey:
         warmup=c.warmup if timed else 0,
         timed_steps=c.timed_steps if timed else 0,
         determinism=c.determinism,
-        options=_canonical(_in_force(simulation.options if simulation else c.options)),
+        options=_canonical(_in_force(_options(simulation, c.options))),
         # the level that was asked for has a place of its own, and so have the versions of packages
         switches=_canonical(_without(simulation.switches, ("determinism", *conditions))) if simulation else "",
         conditions=_canonical(conditions),
         layout=_canonical({f.name: [f.dtype, f.frame, len(f.items), f.width] for f in recording.fields}),
         origins=json.dumps(simulation.env_origins if simulation else []),
-        initial=c.initial,
-        intervention=c.intervention,
-        keep=c.keep,
-        vary=c.vary,
-        fitted=", ".join(f"{name} to {data}" for name, data in sorted(c.fitted.items())),
+        settings=c.settings,
     )
+
+
+def _options(simulation: Simulation | None, given: Mapping[str, str]) -> Mapping[str, Any]:
+    """Those in force, and as they were given those that the engine does not tell: runs that differ in these were asked
+    for something else."""
+    if simulation is None:
+        return given
+    told = {*simulation.options, *simulation.switches, *(one.name for one in simulation.buffers), "device"}
+    return {**_without(given, told), **simulation.options}
 
 
 # what follows from the scene or from the number of environments, and is no choice: rows that wait on the device to be
@@ -255,8 +264,7 @@ def precisions(key: GroupKey) -> list[str]:
 
 
 def _order(key: GroupKey) -> tuple[Any, ...]:
-    treated = (key.initial, key.vary, key.intervention, key.keep)
-    settings = (key.determinism, *treated, key.n_env, key.dt, key.switches, key.options)
+    settings = (key.determinism, *key.told.values(), key.n_env, key.dt, key.switches, key.options)
     return (key.scene, key.simulator == REAL, key.simulator, key.version, *settings)
 
 

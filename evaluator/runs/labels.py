@@ -10,9 +10,10 @@ from typing import Any
 
 from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.runs.groups import GroupKey, precisions
+from gpusimbench.schemas.configuration import TELLING
 from gpusimbench.schemas.provenance import engine_name
 from gpusimbench.schemas.text import cut, first, plural
-from gpusimbench.schemas.treatment import Intervention, initial_words
+from gpusimbench.schemas.treatment import Intervention
 from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS, shown_seeds
 
 Given = Mapping[str, frozenset[str]]
@@ -26,10 +27,7 @@ PLACE = ("scene", "device", "n_env")
 _SHOWN_SETTINGS = 4
 _SHOWN_LENGTH = 60
 
-_ATTRIBUTES = (
-    "version", "device", "scene_hash", "n_env", "dt", "seed", "determinism", "initial", "vary", "intervention", "keep",
-    "fitted",
-)  # fmt: skip
+_ATTRIBUTES = ("version", "device", "scene_hash", "n_env", "dt", "seed", "determinism", *TELLING)
 
 _MEANINGS = (
     ("XLA_PYTHON_CLIENT", "how JAX reserves memory of the GPU; memory is not comparable"),
@@ -121,11 +119,11 @@ def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], besid
     # a run that failed before it was built knows only what was asked, and would make every default stand out
     rivals = [k for k in keys if _rivals(key, k) and (k.version or not key.version)]
     telling = [name for name in _ATTRIBUTES if any(_told_apart(name, key, rival) for rival in rivals)]
-    parts = [_shown(name, key) for name in telling if name not in beside and getattr(key, name) != ""]
+    parts = [_shown(name, key) for name in telling if name not in beside and _value(name, key) not in ("", None)]
     chosen = _chosen(key, given)
     parts += _changed(chosen, [_chosen(rival, given) for rival in rivals])
     alike = [
-        r for r in rivals if _chosen(r, given) == chosen and all(getattr(r, n) == getattr(key, n) for n in _ATTRIBUTES)
+        r for r in rivals if _chosen(r, given) == chosen and all(_value(n, r) == _value(n, key) for n in _ATTRIBUTES)
     ]
     if any(precisions(rival) not in ([], precisions(key)) for rival in alike):
         parts += precisions(key)
@@ -141,14 +139,18 @@ def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], besid
 
 
 def _told_apart(name: str, key: GroupKey, rival: GroupKey) -> bool:
-    if name == "initial" and key.initial and rival.initial:
+    if name == "initial" and key.told["initial"] and rival.told["initial"]:
         # states that are given to every environment differ with the number of environments, and with the measured
         # states that environments are set to later: what these follow from tells the two apart
-        done = (Intervention.of(key.intervention), Intervention.of(rival.intervention))
-        teaches = any(one is not None and one.kind.repeats for one in done)
-        if key.n_env != rival.n_env or (teaches and key.intervention != rival.intervention):
+        asked = key.told["intervention"], rival.told["intervention"]
+        teaches = any(one is not None and one.kind.repeats for one in map(Intervention.of, asked))
+        if key.n_env != rival.n_env or (teaches and len(set(asked)) > 1):
             return False
-    return bool(getattr(key, name) != getattr(rival, name))
+    return bool(_value(name, key) != _value(name, rival))
+
+
+def _value(name: str, key: GroupKey) -> Any:
+    return dict(key.settings).get(name) if name in TELLING else getattr(key, name)
 
 
 def _rivals(one: GroupKey, other: GroupKey) -> bool:
@@ -170,20 +172,16 @@ def _scenes_to_name(keys: Sequence[GroupKey], parts: Sequence[list[str]]) -> set
 
 
 def _shown(name: str, key: GroupKey) -> str:
-    value = getattr(key, name)
+    value = _value(name, key)
+    if name in TELLING:
+        return TELLING[name].labelled(name, value)
     if name == "scene_hash":
         return f"scene {value[:8]}"
-    if name == "initial":  # given states are named by their hash
-        value = re.sub(r"(?<=:[0-9a-f]{8})[0-9a-f]+", "", value)
     if name == "device":
         # what every processor of a maker has in its name tells none apart
         return re.sub(r"\((R|TM)\)| Processor\b", "", value)
     if name == "version":
         return str(value)
-    if name == "fitted":
-        return f"fitted {value}"
-    if name == "initial":
-        return f"initial={initial_words(value)}"
     return f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
 
 

@@ -46,6 +46,16 @@ environments:
   $GSB_ENVIRONMENTS or the user's data folder, from pinned requirements with hashes; later runs of this simulator use
   it. --python PATH uses an environment of your own. torch is installed as pip is configured on this machine.
 
+files:
+  OUT/SIM-SCENE-nN-rR-TIME.mcap  run R, begun at TIME (UTC); SIM with its solver and level of determinism
+  OUT/NAME.mcap.partial  a run that is being made, or what a crash left of it, for gsb-share recover
+
+see also:
+  gsb-eval, which computes what the runs show
+  gsb-audit, which replays and compares
+  docs/simulators.md
+  docs/timing.md
+
 examples:
   gsb-record --list mujoco
   gsb-record --sim mujoco
@@ -93,7 +103,11 @@ def parser() -> RecordParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_common(p, names)
+    add_common(
+        p,
+        names,
+        reads=("CUDA_VISIBLE_DEVICES", "GSB_CUBE_TOSS", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
+    )
     p.add_argument(
         "--list",
         nargs="?",

@@ -14,7 +14,7 @@ from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.output import flush, show, show_document, show_path
 from gpusimbench.schemas.commands.progress import Progress, stage
 from gpusimbench.schemas.commands.suggestion import did_you_mean
-from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.configuration import SETTINGS, RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.text import block, stored_text
@@ -68,6 +68,17 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         given_rows = table(scene.actions) if scene.actions else None
         steps = round(scene.sample_time / dt) if given_rows is None else len(given_rows)
     warmup, timed_steps = scene.timed_window()
+    settings = {name: getattr(arguments, name) for name in SETTINGS if hasattr(arguments, name)} | {
+        "initial": begins,
+        "vary": arguments.vary and vary.parse(arguments.vary, arguments.n_env),
+        "intervention": arguments.intervene and intervention.parse(arguments.intervene),
+        "keep": arguments.keep and keep.parse(arguments.keep),
+        "snapshots": parse_snapshots(arguments.snapshot, steps),
+        "model": model.files_sha256 if model else "",
+        "keyframe": model.keyframe if model else "",
+        "actions": model.controls if model else "",
+        "fitted": _fitted(arguments),
+    }
     configuration = RunConfiguration(
         simulator=arguments.sim,
         scene=scene.name,
@@ -85,15 +96,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         timeout=arguments.timeout,
         capture=arguments.capture,
         view=view_of(arguments.view_env, off=arguments.no_view, phases=phases, keep=arguments.keep),
-        initial=begins,
-        vary=arguments.vary and vary.parse(arguments.vary, arguments.n_env),
-        intervention=arguments.intervene and intervention.parse(arguments.intervene),
-        keep=arguments.keep and keep.parse(arguments.keep),
-        snapshots=parse_snapshots(arguments.snapshot, steps),
-        model=model.files_sha256 if model else "",
-        keyframe=model.keyframe if model else "",
-        actions=model.controls if model else "",
-        fitted=_fitted(arguments),
+        **settings,
     )
     check_configuration(configuration, scene)
     return configuration, inputs if given is None else {**inputs, GIVEN: given}

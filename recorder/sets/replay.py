@@ -21,7 +21,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.sets.finished import outcome_of, run_end
 from gpusimbench.recorder.sets.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
 from gpusimbench.schemas.checks import Budget
-from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.configuration import TELLING, RunConfiguration
 from gpusimbench.schemas.digest import attachment_name, content_hash
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
 from gpusimbench.schemas.fields import StateField
@@ -29,7 +29,7 @@ from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.model_files import MODEL
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
 from gpusimbench.schemas.text import cut, ordinal, plural
-from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED, FromFile, Given, drawn, initial_words, snapshot_name
+from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED, FromFile, Given, drawn, snapshot_name
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
 
@@ -263,12 +263,7 @@ def announcement(source: Source, configuration: RunConfiguration) -> str:
         steps.append("the model's import")
     given = "".join(f", {name}={value}" for name, value in c.options.items())
     level = "" if c.determinism == "default" else f", determinism {c.determinism}"
-    initial = c.initial and f"initial {initial_words(c.initial)}"
-    begins = "".join(
-        f", {text}"
-        for text in (initial, c.vary and f"vary {c.vary}", c.intervention, c.keep and f"keep {c.keep}")
-        if text
-    )
+    begins = "".join(f", {name} {TELLING[name].words(value)}" for name, value in c.settings)
     took = "" if source.ran_s is None or source.ran_s > 1e9 else f"; a run took {source.ran_s:.1f} s there"
     line = (
         f"replay of run {source.run_id[:8]}, content {source.content_hash[:12]}: {c.simulator}{given}{level}, "

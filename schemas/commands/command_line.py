@@ -25,7 +25,7 @@ _PATTERNS = {
 
 _WIDTH = 118
 
-_VARIABLES = {
+VARIABLES = {
     "CUDA_VISIBLE_DEVICES": "the first GPU that it names is the one that engines step on and whose memory is read",
     "GSB_CACHE": "where results are kept without --cache (default: gpusimbench in $XDG_CACHE_HOME or ~/.cache)",
     "GSB_CUBE_TOSS": "the measured tosses of scene cube-toss, where --tosses does not say",
@@ -37,83 +37,6 @@ _VARIABLES = {
     "TMPDIR": "where a recording from elsewhere lies while it is verified; it needs room for all of it (default: /tmp)",
 }
 """Variables of the environment that commands read."""
-
-_READS = {
-    "gsb-record": ("CUDA_VISIBLE_DEVICES", "GSB_CUBE_TOSS", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
-    "gsb-audit": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
-    "gsb-eval": ("GSB_CACHE", "GSB_PROGRESS", "OMP_NUM_THREADS"),
-    "gsb-compare": ("GSB_CACHE", "GSB_PROGRESS", "OMP_NUM_THREADS"),
-    "gsb-info": ("GSB_PROGRESS", "TMPDIR"),
-    "gsb-check": ("GSB_PROGRESS", "TMPDIR"),
-    "gsb-diff": ("GSB_PROGRESS",),
-    "gsb-episodes": ("GSB_PROGRESS",),
-    "gsb-run": ("CUDA_VISIBLE_DEVICES", "GSB_PROGRESS"),
-    "gsb-replay": ("GSB_PROGRESS",),
-    "gsb-probe": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
-    "gsb-fit": ("CUDA_VISIBLE_DEVICES", "GSB_CUBE_TOSS", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
-    "gsb-import": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
-    "gsb-bisect": ("CUDA_VISIBLE_DEVICES", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
-    "gsb-view": ("GSB_PROGRESS",),
-    "gsb-share": ("GSB_CACHE", "GSB_PROGRESS"),
-}
-"""Which of them each command reads."""
-
-_FILES = {
-    "gsb-record": (
-        "OUT/SIM-SCENE-nN-rR-TIME.mcap  run R, begun at TIME (UTC); SIM with its solver and level of determinism",
-        "OUT/NAME.mcap.partial  a run that is being made, or what a crash left of it, for gsb-share recover",
-    ),
-    "gsb-replay": (
-        "NAME-replay.mcap  the replay, a recording like any other",
-        "NAME.mcap  the recording that a data set becomes",
-    ),
-    "gsb-audit": ("OUT/NAME.mcap  a replay, a recording like any other",),
-    "gsb-run": (
-        "OUT/run-K/  a run: recordings that the program wrote, and output.txt, what it printed",
-        "OUT/run-K/program.json  the command, and digests of the files that it names",
-    ),
-    "gsb-probe": ("OUT/NAME.mcap  a run, a recording like any other",),
-    "gsb-fit": (
-        "OUT/NAME.mcap  the reference, the start and the fitted options, recordings like any other",
-        "OUT/evaluations.csv  a row for each evaluation",
-    ),
-    "gsb-import": ("OUT/NAME.mcap  a run, a recording like any other",),
-    "gsb-bisect": (
-        "OUT/VERSION/NAME.mcap  a run of that release, a recording like any other",
-        "OUT/environments/VERSION  a virtual environment with that release",
-    ),
-    "gsb-eval": ("CACHE/  what was read and computed, by content and version; it may be deleted at any time",),
-}
-"""What commands leave on the disk without being told its name."""
-
-_SEE_ALSO = {
-    "gsb": "gsb-record and gsb-eval, which are gsb record and gsb eval; docs/tutorial.md; docs/index.md",
-    "gsb-record": "gsb-eval, which computes what the runs show; gsb-audit, which replays and compares; "
-    "docs/simulators.md; docs/timing.md",
-    "gsb-eval": "gsb-record, which makes recordings; gsb-check, which holds them against rules; docs/metrics.md; "
-    "docs/statistics.md",
-    "gsb-info": "gsb-check, which says rule by rule what is wrong; docs/check.md; schemas/README.md",
-    "gsb-check": "gsb-info, which shows one file; gsb-audit, which also runs it again; docs/check.md; "
-    "docs/strangers.md",
-    "gsb-diff": "gsb-audit, which replays first; gsb-eval, for sets of runs; docs/diff.md",
-    "gsb-episodes": "gsb-info, which counts episodes; gsb-diff, which shows where two recordings part; "
-    "docs/how-to/evaluate-a-policy.md; docs/how-to/record-your-task.md",
-    "gsb-run": "gsb-diff, which compares two recordings; gsb-audit --command, which runs a program again; "
-    "docs/how-to/is-my-training-reproducible.md; docs/how-to/record-your-task.md",
-    "gsb-replay": "gsb-audit, which replays recordings of gsb-record; gsb-diff, which compares two recordings step by "
-    "step; docs/how-to/will-my-dataset-replay.md; docs/how-to/record-your-task.md",
-    "gsb-audit": "gsb-record --replay, which only replays; gsb-diff, which shows where two part; docs/audit.md",
-    "gsb-compare": "gsb-eval, for one set; gsb-diff, for two files; docs/compare.md; docs/history.md; "
-    "docs/how-to/ci.md",
-    "gsb-probe": "gsb-record, which makes its runs; gsb-diff, which shows where two part; docs/probe.md",
-    "gsb-fit": "gsb-record --fitted, which says what was fitted; gsb-eval; docs/how-to/cube-toss.md; docs/check.md",
-    "gsb-import": "gsb-record --model, which makes its runs; gsb-probe; docs/how-to/my-robot.md; "
-    "docs/how-to/what-the-importer-lost.md",
-    "gsb-bisect": "gsb-diff, which shows where two releases part; gsb-compare; docs/bisect.md",
-    "gsb-view": "gsb-diff, which says in numbers where two part; gsb-share viewer; docs/view.md; docs/viewers.md",
-    "gsb-share": "gsb-check, for what recover made; docs/share.md; docs/dataset.md; docs/strangers.md",
-}
-"""Where each command's reader may go on."""
 
 
 class PrintCompletion(argparse.Action):
@@ -162,10 +85,13 @@ def _files(action: argparse.Action) -> tuple[str, ...]:
     return _PATTERNS.get(str(action.metavar), ())
 
 
-def add_common(parser: Parser, names: Names = dict) -> None:
-    """Give a parser the options that every command has, and its help the sections on its environment and its kin.
+def add_common(parser: Parser, names: Names = dict, reads: Iterable[str] = ()) -> None:
+    """Give a parser the options that every command has, and its help the section on its environment.
+
+    The section stands before "see also:" of the parser's epilog.
 
     names  see PrintCompletion
+    reads  variables of the environment that the command reads, as VARIABLES has them
     """
     parser.add_argument("--help-all", action=HelpAll, help="show every option and every section of this help, and exit")
     parser.add_argument(
@@ -180,17 +106,9 @@ def add_common(parser: Parser, names: Names = dict) -> None:
         names=names,
         help=f"print a script that completes this command in {', '.join(SHELLS)}, and exit",
     )
-    before, heading, examples = (parser.epilog or "").partition("\nexamples:\n")
-    parser.epilog = before + _kin(parser.prog) + heading + examples
-
-
-def _kin(command: str) -> str:
-    sections = {
-        "files": _FILES.get(command, ()),
-        "environment variables": [f"{name}  {_VARIABLES[name]}" for name in _READS.get(command, ())],
-        "see also": _SEE_ALSO[command].split("; ") if command in _SEE_ALSO else (),
-    }
-    return "".join(f"\n{title}:\n{''.join(map(_item, rows))}" for title, rows in sections.items() if rows)
+    if rows := "".join(_item(f"{name}  {VARIABLES[name]}") for name in reads):
+        before, heading, after = (parser.epilog or "").partition("\nsee also:\n")
+        parser.epilog = f"{before}\nenvironment variables:\n{rows}{heading}{after}"
 
 
 def _item(text: str) -> str:

@@ -71,6 +71,11 @@ exit codes:
   1  something could not be written or started
   2  there is no such verb, or wrong usage of the verb's command
 
+see also:
+  gsb-record and gsb-eval, which are gsb record and gsb eval
+  docs/tutorial.md
+  docs/index.md
+
 examples:
   gsb
   gsb record --sim mujoco

@@ -60,7 +60,7 @@ class _Run:
     @property
     def configuration(self) -> Any:
         return SimpleNamespace(
-            n_env=self.n_env, dt=0.1, seed=0, initial="", intervention="", vary="", phases=("capture",), run_index=0
+            n_env=self.n_env, dt=0.1, seed=0, initial="", settings=(), phases=("capture",), run_index=0
         )
 
     @property

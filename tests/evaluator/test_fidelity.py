@@ -41,9 +41,10 @@ def run(*values: float, why: str = "") -> PhysicsFacts:
 def test_one_broken_value_breaks_the_group() -> None:
     """Break where one environment of one run is beyond the tolerance, and count it."""
     row = fidelity("x", [run(2.4, 2.41), run(2.38, 2.46)]).rows[0]
-    assert (row.verdict, row.broken, row.count, row.runs) == (Verdict.BROKEN, 1, 4, 2)
-    assert row.mean == pytest.approx(2.4125)
-    assert (row.least, row.most) == (2.38, 2.46)
+    assert row.found is not None
+    assert (row.verdict, row.found.broken, row.found.count, row.runs) == (Verdict.BROKEN, 1, 4, 2)
+    assert row.found.mean == pytest.approx(2.4125)
+    assert (row.found.least, row.found.most) == (2.38, 2.46)
 
 
 def test_the_tolerance_belongs_to_what_is_held() -> None:
@@ -56,7 +57,7 @@ def test_runs_that_could_not_be_measured_are_told() -> None:
     row = fidelity("x", [run(2.4), run(why="sparse")]).rows[0]
     assert (row.verdict, row.runs, row.reason) == (Verdict.HELD, 1, "sparse")
     none = fidelity("x", [run(why="sparse"), run(why="sparse")]).rows[0]
-    assert (none.verdict, none.mean, none.reason) == (Verdict.NOT_APPLICABLE, None, "sparse")
+    assert (none.verdict, none.found, none.reason) == (Verdict.NOT_APPLICABLE, None, "sparse")
 
 
 def test_groups_without_facts_say_why() -> None:
@@ -80,11 +81,14 @@ def test_values_of_which_none_is_finite_break() -> None:
     assert isinstance(fact, Measured)
     assert (fact.mean, fact.least, fact.most, fact.broken, fact.count) == (None, None, None, 2, 2)
     found = fidelity("x", [replace(run(2.4), facts={Check.ROLLING: fact})])
-    assert (found.rows[0].verdict, found.rows[0].mean) == (Verdict.BROKEN, None)
+    (row,) = (row for row in found.rows if row.check is Check.ROLLING)
+    assert row.found is not None
+    assert (row.verdict, row.found.mean) == (Verdict.BROKEN, None)
     assert "BROKEN 2 of 2" in printed(found)
     json.dumps(fidelity_record(found), allow_nan=False)
     both = fidelity("x", [replace(run(2.4), facts={Check.ROLLING: fact}), run(2.41)]).rows[0]
-    assert (both.mean, both.broken, both.count) == (2.41, 2, 3)
+    assert both.found is not None
+    assert (both.found.mean, both.found.broken, both.found.count) == (2.41, 2, 3)
 
 
 def test_the_table_shows_what_broke() -> None:

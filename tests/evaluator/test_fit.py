@@ -204,12 +204,12 @@ def test_what_is_kept(fitted: Path, tmp_path: Path) -> None:
 def test_judged_by_odd_tosses(fitted: Path) -> None:
     """Evaluate the fitted options by odd tosses alone, and compare them with the start on these."""
     evaluation = evaluate_files(sorted((fitted / "fit").glob("*.mcap")), sample_time=441 / 148)
-    by = {bool(r.group.key.fitted): r for r in evaluation.results}
+    by = {bool(r.group.key.told["fitted"]): r for r in evaluation.results}
     after, before = (by[one].metrics[TOSS_POSITION.name].of(OverTosses) for one in (True, False))
     assert after.numbers == tuple(range(1, 48, 2))
     assert before.numbers == tuple(range(48))
     order = ranked(evaluation.results)
-    assert [bool(one.result.group.key.fitted) for one in order] == [True, False]
+    assert [bool(one.result.group.key.told["fitted"]) for one in order] == [True, False]
     record = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
     (held_out,) = (one for one in record["compared"] if (one["of"], one["tosses"]) == ("position", ODD))
     assert [one.error for one in order] == [pytest.approx(held_out[name]) for name in ("after", "before")]

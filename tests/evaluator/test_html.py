@@ -264,7 +264,7 @@ def test_values_have_sensible_digits(several: Evaluation) -> None:
     assert "1.2e-05" in text
     assert "3 of 4" in text
     assert "first differ at step 118" in text
-    assert "different, 12 mm apart" in text
+    assert "different, 1.2 cm apart" in text
     assert "3 of 324" in text
 
 

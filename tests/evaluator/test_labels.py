@@ -221,11 +221,12 @@ def test_given_states_that_follow_from_the_number_of_environments(small: Path) -
     """Name given states only where they differ among as many environments, and then by the beginning of their hash."""
     key = group([open_recording(small)])[0].key
     few, many, others = (
-        replace(key, n_env=n, initial=f"states:{digit * 64}") for n, digit in ((4, "a"), (8, "b"), (4, "c"))
+        replace(key.with_settings(initial=f"states:{digit * 64}"), n_env=n)
+        for n, digit in ((4, "a"), (8, "b"), (4, "c"))
     )
     assert labels([few, many]) == ["mujoco [n_env=4]", "mujoco [n_env=8]"]
     assert labels([few, others]) == ["mujoco [initial=states:aaaaaaaa]", "mujoco [initial=states:cccccccc]"]
-    assert labels([few, replace(few, n_env=8, initial="")]) == [
+    assert labels([few, replace(few.with_settings(initial=""), n_env=8)]) == [
         "mujoco [n_env=4, initial=states:aaaaaaaa]",
         "mujoco [n_env=8]",
     ]

@@ -131,7 +131,7 @@ def test_local_errors(evaluation: Evaluation, runs: dict[str, Path]) -> None:
 def test_set_states_are_no_merit(evaluation: Evaluation) -> None:
     """Give a run that is set to the reference no distance to it, no error of whole tosses and no check of mechanics."""
     for result in evaluation.results:
-        taught = bool(result.group.key.intervention)
+        taught = bool(result.group.key.told["intervention"])
         whole, w1 = (result.metrics[metric.name].value for metric in (TOSS_POSITION, W1_REAL))
         assert isinstance(whole, Missing) == taught
         assert isinstance(w1, Missing) == taught
@@ -143,7 +143,7 @@ def test_set_states_are_no_merit(evaluation: Evaluation) -> None:
             assert not any(result.fidelity.of(verdict) for verdict in (Verdict.BROKEN, Verdict.HELD))
         # a label says how often, and no digest of what follows from that
         assert "states:" not in result.label
-        assert (result.group.key.intervention in result.label) or not taught
+        assert (result.group.key.told["intervention"] in result.label) or not taught
 
 
 def test_outputs(reference: Path, runs: dict[str, Path], gsb_eval: Command) -> None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gpusimbench.evaluator.diff.words import length
-from gpusimbench.evaluator.render.numbers import distance_bound, mean_sd
-from gpusimbench.evaluator.report.words import size
+from gpusimbench.evaluator.render.numbers import distance_bound, length, mean_sd, scaled
 from gpusimbench.evaluator.results.group_metrics import W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.schemas.text import bound, percent
@@ -49,7 +47,9 @@ def test_bounds_of_a_distance() -> None:
 
 def test_an_amount_that_rounds_up_to_the_next_unit() -> None:
     """Print 1 GB, and not 1e+03 MB."""
-    assert [size(value) for value in (999.6e6, 999.4e6, 1e9, 999.6e3)] == ["1 GB", "999 MB", "1 GB", "1 MB"]
-    assert size(999.6e6, "#.4g") == "0.9996 GB"
+    assert [scaled(value, "B") for value in (999.6e6, 999.4e6, 1e9, 999.6e3)] == ["1 GB", "999 MB", "1 GB", "1 MB"]
+    assert scaled(999.6e6, "B", "#.4g") == "0.9996 GB"
     lengths = [length(metres) for metres in (0.9996, 9.996e-4, 9.994e-4, 9.997e-7)]
+    assert [scaled(value, "B") for value in (0, 12, 2.5e12)] == ["0 B", "12 B", "2,500 GB"]
+    assert [scaled(value, "rad") for value in (2e-6, 1e-12)] == ["2 µrad", "1e-12 rad"]
     assert lengths == ["1 m", "1 mm", "999 µm", "1 µm"]

@@ -276,7 +276,7 @@ def test_a_throughput_belongs_to_the_errors_of_its_configuration() -> None:
     none = Missing("the capture phase was left out")
 
     def timed(result: GroupResult, n_env: int, speed: float, **changed: Any) -> GroupResult:
-        key = replace(result.group.key, n_env=n_env, initial="states:00", **changed)
+        key = replace(result.group.key.with_settings(initial="states:00"), n_env=n_env, **changed)
         metrics = {name: replace(estimate, value=none) for name, estimate in result.metrics.items()}
         metrics[FPS.name] = replace(metrics[FPS.name], value=speed)
         group = replace(result.group, key=key)

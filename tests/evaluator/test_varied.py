@@ -105,8 +105,8 @@ def test_groups(varied: tuple[Path, ...]) -> None:
     """Keep runs apart whose parameters are others; compare the bits of no two of them."""
     one, other, plain = (Recording(place(str(path))) for path in varied)
     assert key_of(one) == key_of(other)
-    assert key_of(one).vary == VARY
-    assert replace(key_of(one), vary="") == key_of(plain)
+    assert key_of(one).told["vary"] == VARY
+    assert key_of(one).with_settings(vary="") == key_of(plain)
     runs = [read_run(Recording(place(str(path))), 0.6) for path in varied]
     assert comparable(runs[0]) == comparable(runs[1]) != comparable(runs[2])
 
@@ -133,8 +133,8 @@ def test_mechanics(varied: tuple[Path, ...]) -> None:
 
 def test_told(varied: tuple[Path, ...]) -> None:
     """Say what varies."""
-    assert f"varied       {VARY}: factors of each environment, in varied.npz" in call("gsb-info", varied[0]).stdout
-    assert "\n  varied " not in call("gsb-info", varied[2]).stdout
+    assert f"vary         {VARY}: factors of each environment, in varied.npz" in call("gsb-info", varied[0]).stdout
+    assert "\n  vary " not in call("gsb-info", varied[2]).stdout
 
 
 def test_the_arms_of_a_plan() -> None:
@@ -199,7 +199,7 @@ def test_arms_of_files(arms: Path) -> None:
     """Hold an environment in another slot against itself by parameters, and not against who stood there before."""
     files = sorted(arms.glob("*.mcap"))
     (found,) = arms_of([Recording(place(str(path))) for path in files])
-    assert found.key.vary == VARY
+    assert found.key.told["vary"] == VARY
     assert found.shifted is not None
     assert found.varied
     shifted, usual = found.shifted.varied["mass"].values, found.varied[0].varied["mass"].values

@@ -27,7 +27,7 @@ from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_grou
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.fidelity import DEMANDED, Fidelity, FidelityRow, Verdict
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.runs.physics.facts import NEWEST
+from gpusimbench.evaluator.runs.physics.facts import NEWEST, Measured
 from gpusimbench.schemas.text import plural
 
 TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
@@ -45,31 +45,34 @@ def fidelity_record(one: Fidelity) -> dict[str, Any]:
 
 def _check(row: FidelityRow) -> dict[str, Any]:
     record = {**picked(row.check, "title unit demanded"), **picked(row, "verdict reason")}
-    if row.verdict is Verdict.NOT_APPLICABLE:
+    if row.found is None:
         return record
-    values = picked(row, "mean least most runs count low high tolerance broken of_runs")
-    return {**record, **values, "tolerance_formula": row.of, "notes": list(row.notes)}
+    values = {**picked(row.found, "mean least most"), "runs": row.runs}
+    values |= {**picked(row.found, "count low high tolerance broken"), "of_runs": row.of_runs}
+    return {**record, **values, "tolerance_formula": row.found.of, "notes": list(row.notes)}
 
 
 def cells(row: FidelityRow) -> tuple[str, ...]:
     """A measured check as the texts of a table's row, in the order of its titles."""
     unit = f" [{row.check.unit}]" if row.check.unit else ""
     verdict = row.verdict.value.upper() if row.verdict is Verdict.BROKEN else row.verdict.value
-    if row.broken:
-        verdict += f" {row.broken} of {row.count}"
+    found = row.found
+    assert found is not None
+    if found.broken:
+        verdict += f" {found.broken} of {found.count}"
     if row.runs < row.of_runs:
         verdict += f", measured in {row.runs} of {plural(row.of_runs, 'run')}"
-    spread = NONE if row.least == row.most else f"{number(row.least)} to {number(row.most)}"
-    return row.check.title + unit, number(row.mean), spread, allowed(row), number(row.tolerance), verdict
+    spread = NONE if found.least == found.most else f"{number(found.least)} to {number(found.most)}"
+    return row.check.title + unit, number(found.mean), spread, allowed(found), number(found.tolerance), verdict
 
 
-def allowed(row: FidelityRow) -> str:
+def allowed(found: Measured) -> str:
     """What mechanics allows, without the tolerance."""
-    if row.low is not None and row.high is not None:
-        return number(row.low) if row.low == row.high else f"{number(row.low)} to {number(row.high)}"
-    if row.high is not None:
-        return f"at most {number(row.high)}"
-    return f"at least {number(row.low)}" if row.low is not None else "any"
+    if found.low is not None and found.high is not None:
+        return number(found.low) if found.low == found.high else f"{number(found.low)} to {number(found.high)}"
+    if found.high is not None:
+        return f"at most {number(found.high)}"
+    return f"at least {number(found.low)}" if found.low is not None else "any"
 
 
 def number(value: float | None) -> str:
@@ -160,7 +163,7 @@ def _table(key: str, caption: str, rows: list[FidelityRow]) -> Table:
 
 
 def _row(row: FidelityRow) -> Row:
+    assert row.found is not None
     title, mean, *others, verdict = cells(row)
-    return Row(
-        (Cell(title), Cell(mean, row.mean), *map(Cell, others), Cell(verdict, tone=_TONES.get(row.verdict, Tone.PLAIN)))
-    )
+    tone = _TONES.get(row.verdict, Tone.PLAIN)
+    return Row((Cell(title), Cell(mean, row.found.mean), *map(Cell, others), Cell(verdict, tone=tone)))

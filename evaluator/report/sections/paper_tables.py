@@ -35,6 +35,7 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.published import AtLargest, Variability
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey
+from gpusimbench.schemas.configuration import TELLING
 from gpusimbench.schemas.text import cut, plural
 
 _SPEED = {"free-fall": 1e4, "franka": 1e6}
@@ -172,7 +173,8 @@ def _timed_remarks(rows: Sequence[paper_tables.Capability], scene: str) -> list[
 def _settings(key: GroupKey) -> str:
     given = ", ".join(f"{name}={value}" for name, value in json.loads(key.options).items())
     level = "" if key.determinism == DEFAULT else f"determinism {key.determinism}"
-    return "; ".join(part for part in (key.version or "no version", given, level, key.device) if part)
+    settings = ", ".join(TELLING[name].labelled(name, value) for name, value in key.settings)
+    return "; ".join(part for part in (key.version or "no version", given, level, settings, key.device) if part)
 
 
 def _memory(metric: Estimate | None) -> Printed:

@@ -11,15 +11,13 @@ from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
 from gpusimbench.evaluator.probe.pairs import Found
 from gpusimbench.evaluator.probe.questions import Probed
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Item, Items, Section, Text, Tone, key_of, table
-from gpusimbench.evaluator.render.numbers import ulps
+from gpusimbench.evaluator.render.numbers import scaled, ulps
 from gpusimbench.evaluator.report.sections.determinism_cost import ratio
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.determinism_cost import Family
 from gpusimbench.schemas.text import plural
 
 _TONES = {Answer.YES: Tone.GOOD, Answer.NO: Tone.BAD, Answer.OPEN: Tone.WARNING, Answer.NOT_ASKED: Tone.QUIET}
-_UNITS = {"m": (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("nm", 1e-9)),
-          "rad": (("rad", 1.0), ("mrad", 1e-3), ("urad", 1e-6), ("nrad", 1e-9))}  # fmt: skip
 
 
 _METHOD = (
@@ -117,15 +115,8 @@ def _found(found: Found) -> str:
         late = f"{how} at step {first.step}, the first recorded state"
         parts.append(f"first by {how} ({where})" if first.step == found.first_step else f"{late} ({where})")
         if found.max_distance:
-            parts.append(f"{_amount(found.max_distance, found.unit)} apart at step {found.at_step}")
+            parts.append(f"{scaled(found.max_distance, found.unit)} apart at step {found.at_step}")
         if found.level is not Level.DIFFERENT:
-            limits = {Level.WITHIN_ULP: f"{MAX_ULP:g} ULP", Level.WITHIN_TOLERANCE: _amount(TOLERANCE_M, found.unit)}
+            limits = {Level.WITHIN_ULP: f"{MAX_ULP:g} ULP", Level.WITHIN_TOLERANCE: scaled(TOLERANCE_M, found.unit)}
             parts.append(f"never beyond {limits[found.level]}")
     return "; ".join(parts)
-
-
-def _amount(value: float, unit: str) -> str:
-    for name, size in _UNITS[unit]:
-        if value >= size:
-            return f"{value / size:.3g} {name}"
-    return f"{value:.3g} {unit}"

@@ -30,8 +30,8 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.configuration import TELLING
 from gpusimbench.schemas.text import cut, first, plural
-from gpusimbench.schemas.treatment import initial_words
 
 _DEPTH = 3
 _PARTS = 20  # of a list of runs, and then "..."
@@ -63,10 +63,7 @@ def _blocks(number: int, result: GroupResult, machines: _Machines) -> Iterator[B
     asked = {
         "simulator": key.simulator, "scene": key.scene, "envs": key.n_env, "dt [s]": key.dt, "seed": key.seed,
         "warm-up steps": key.warmup, "timed steps": key.timed_steps, "determinism": key.determinism,
-        **({"initial states": initial_words(key.initial)} if key.initial else {}),
-        **({"varied parameters": key.vary} if key.vary else {}),
-        **({"intervention": key.intervention} if key.intervention else {}),
-        **({"states kept": key.keep} if key.keep else {}),
+        **{TELLING[name].title: TELLING[name].words(value) for name, value in key.settings},
         "options": recordings[0].configuration.options if recordings else {},
     }  # fmt: skip
     yield _records(number, "What was asked", asked)

@@ -24,7 +24,7 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.markdown import render_markdown
-from gpusimbench.evaluator.render.numbers import estimate
+from gpusimbench.evaluator.render.numbers import estimate, scaled
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.sections.variability import types_of
 from gpusimbench.evaluator.report.verdicts import QUESTIONS
@@ -240,7 +240,7 @@ def _host(summary: Run) -> str:
     if "usable_threads" in host:
         parts.append(f"{brief(host['usable_threads'])} threads")
     if isinstance(memory, int):
-        parts.append(words.size(memory))
+        parts.append(scaled(memory, "B"))
     return ", ".join([*parts, *(str(brief(host[key])) for key in ("system", "kernel") if host.get(key))])
 
 

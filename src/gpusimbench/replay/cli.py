@@ -49,6 +49,16 @@ exit codes:
   4  an episode has a weaker verdict
   5  there are no episodes to replay
 
+files:
+  NAME-replay.mcap  the replay, a recording like any other
+  NAME.mcap  the recording that a data set becomes
+
+see also:
+  gsb-audit, which replays recordings of gsb-record
+  gsb-diff, which compares two recordings step by step
+  docs/how-to/will-my-dataset-replay.md
+  docs/how-to/record-your-task.md
+
 examples:
   gsb-replay demos.mcap
   gsb-replay demos.mcap --set frame_skip=4 --require same-outcome
