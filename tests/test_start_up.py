@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.conftest import run_python
+from tests.conftest import loaded_by_reading, run_python
 
 HEAVY = (
     "numpy",
@@ -92,3 +92,8 @@ def test_a_run_of_a_built_in_simulator_begins_fast() -> None:
         "print('numpy.ma' in sys.modules)"
     )
     assert done.stdout.strip() == "False"
+
+
+def test_tests_are_read_without_an_engine() -> None:
+    """Import no engine before a test needs it (`needed` of recorder/engines.py): every process reads all files."""
+    assert not loaded_by_reading
