@@ -202,6 +202,9 @@ def browser() -> Iterator[Browser]:
         yield opened
 
 
+loaded_by_reading: set[str] = set()
+"""Engines that were imported while the files of tests were read; see test_start_up.py."""
+
 _LONGEST = "test_simulators"
 _ENGINES = ("test_warp", "test_newton", "test_mjx", "test_brax")
 
@@ -212,6 +215,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     JAX minds every fork that comes after it. Newton's tests take as long as the two files that follow them where a
     worker runs each.
     """
+    loaded_by_reading.update({"brax", "jax", "newton", "warp"} & sys.modules.keys())
 
     def turn(item: pytest.Item) -> int:
         name = item.path.stem

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +38,13 @@ from gpusimbench.schemas.provenance import (
     ReplayOf,
 )
 
+described_scene = cache(make_scene)
+"""A built-in scene by its name; thousands of recordings carry the same few."""
+
 
 def cubes_field(dtype: str, *, frame: str = "world") -> StateField:
     """The position field of the 27 cubes."""
-    names = make_scene("inclined-collision").groups()["cubes"]
+    names = described_scene("inclined-collision").groups()["cubes"]
     return replace(body_field("cubes", "position", dtype, names), frame=frame)
 
 
@@ -108,6 +114,12 @@ class Shown:
 
 
 NOTHING = Shown()
+
+
+def _finish(sink: Sink, status: str, reason: str, **end: Any) -> Path:
+    # thousands of these files would wait for the disk, and none of them is read after a power cut
+    with mock.patch.object(os, "fsync"):
+        return sink.finish(status, reason, **end)
 
 
 def write_recording(
@@ -197,7 +209,7 @@ def write_recording(
         environment=environment or {},
         replay_of=replay_of,
     )
-    described = make_scene(scene)
+    described = described_scene(scene)
     about = Description(
         version=version, device="Test GPU" if gpu_bytes else "cpu", options={**(options or {}), **(in_force or {})},
         switches=switches or {},
@@ -222,7 +234,7 @@ def write_recording(
     if whole:
         sink.attach(PACKAGES, "text/plain", b"mcap==1\n")
     if not built:
-        return sink.finish(status, reason, last_step=0, peak_rss_bytes=0, cause=cause)
+        return _finish(sink, status, reason, last_step=0, peak_rss_bytes=0, cause=cause)
     for what, seconds in (clocks or {}).items():
         _write_timing(sink, what, seconds, 1)
     if elapsed_s:
@@ -257,7 +269,7 @@ def write_recording(
     if not end:
         sink.abandon()
         return sink.partial
-    return sink.finish(status, reason, last_step=steps if final is not None else 0, peak_rss_bytes=0, cause=cause)
+    return _finish(sink, status, reason, last_step=steps if final is not None else 0, peak_rss_bytes=0, cause=cause)
 
 
 def _write_timing(sink: Sink, phase: str, seconds: float, steps: int, *, first_step: int = 0) -> None:

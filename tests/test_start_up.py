@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.conftest import run_python
+from tests.conftest import loaded_by_reading, run_python
 
 HEAVY = (
     "numpy",
@@ -79,3 +79,21 @@ def test_adapters_import_no_engine() -> None:
         "print(sorted(needed & sys.modules.keys()))"
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_a_run_of_a_built_in_simulator_begins_fast() -> None:
+    """Find it without a look into every installed distribution; describe MuJoCo's shapes without masked arrays."""
+    done = run_python(
+        "import sys\nfrom importlib import metadata\n"
+        "metadata.entry_points = None\n"
+        "from gpusimbench.recorder.simulators.registry import find_simulator\n"
+        "assert find_simulator('mujoco').name == 'mujoco'\n"
+        "import gpusimbench.recorder.simulators.mujoco.geometry\n"
+        "print('numpy.ma' in sys.modules)"
+    )
+    assert done.stdout.strip() == "False"
+
+
+def test_tests_are_read_without_an_engine() -> None:
+    """Import no engine before a test needs it (`needed` of recorder/engines.py): every process reads all files."""
+    assert not loaded_by_reading

@@ -51,15 +51,28 @@ def package_list() -> str:
     """Every installed distribution, one "name==version" a line; of several versions of one, that which is imported."""
     versions: dict[str, str] = {}
     for found in metadata.distributions():  # in the order in which Python looks for modules
-        versions.setdefault(found.metadata["Name"] or "?", found.version)
+        name, version = _named(found)
+        versions.setdefault(name, version)
     return "".join(f"{name}=={versions[name]}\n" for name in sorted(versions, key=lambda n: (n.lower(), n)))
 
 
 def _version(distribution: str) -> str | None:
     try:
-        return metadata.version(distribution)
+        return _named(metadata.distribution(distribution))[1]
     except metadata.PackageNotFoundError:
         return None
+
+
+def _named(found: metadata.Distribution) -> tuple[str, str]:
+    # importlib.metadata parses the description, too, a page of each package: half of the time of a short run
+    text = found.read_text("METADATA") or found.read_text("PKG-INFO")
+    if text is None:  # a file alone, as distutils left it
+        return found.metadata["Name"] or "?", found.version
+    fields: dict[str, str] = {}
+    for line in text.partition("\n\n")[0].splitlines():
+        field, _, value = line.partition(":")
+        fields.setdefault(field.lower(), value.strip())
+    return fields.get("name") or "?", fields.get("version", "")
 
 
 def _commit() -> dict[str, Any]:

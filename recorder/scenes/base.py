@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -350,6 +351,10 @@ class Scene:
 
     def to_json(self) -> str:
         """As the text that a recording carries; shapes are tagged with their kind."""
+        return self._text
+
+    @cached_property
+    def _text(self) -> str:  # a run asks for it twice: as an attachment, and for its hash
         return json.dumps(_plain(self), indent=1, sort_keys=True) + "\n"
 
     def sha256(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,30 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.recorder.simulators.registry import find_simulator, is_there
+
+
+class Later:
+    """A module that is imported when a test asks for something of it.
+
+    Every process of the tests reads every file of tests. An engine takes seconds to import, and JAX minds the forks
+    that follow.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # pytest asks whatever a file of tests names whether it is a fixture
+            raise AttributeError(name)
+        return getattr(import_module(self._name), name)
+
+
+def needed(name: str) -> Any:
+    """The module of that name, Later; the tests of the calling file are skipped where it is not installed."""
+    if not is_there(name):
+        pytest.skip(f"{name} is not installed", allow_module_level=True)
+    return Later(name)
 
 
 def make(

@@ -14,7 +14,7 @@ from gpusimbench.schemas.errors import UsageError
 from tests.recorder import engines
 from tests.recorder.engines import PAIR, bits
 
-pytest.importorskip("brax")
+engines.needed("brax")
 
 make = partial(engines.make, "brax")
 build = partial(engines.build, "brax")

@@ -11,8 +11,10 @@ import mujoco
 import numpy as np
 import pytest
 
-mjx = pytest.importorskip("mujoco.mjx")
-mujoco_warp = pytest.importorskip("mujoco_warp")
+from tests.recorder.engines import needed
+
+mjx = needed("mujoco.mjx")
+mujoco_warp = needed("mujoco_warp")
 
 pytestmark = pytest.mark.slow  # both engines compile
 

@@ -16,8 +16,9 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 from gpusimbench.schemas.errors import DataLost
 from tests.conftest import finished
+from tests.recorder.engines import needed
 
-jax = pytest.importorskip("jax")
+jax = needed("jax")
 
 N_ENV = 3  # so that numbers of 8 and 16 bits fill no word
 ARRAYS: dict[str, tuple[str, tuple[int, ...]]] = {
@@ -237,12 +238,12 @@ def test_rows_are_those_of_a_list(operations: list[tuple[str, int]]) -> None:
 @pytest.mark.parametrize("hashed", [False, True])
 def test_a_recording_whose_rows_were_lost(steps: int | None, hashed: bool, tmp_path: Path) -> None:
     """Raise the error, in a later step or at the end; the rows before are in a whole file, and it says why it ends."""
-    from tests.recorder.test_wrap_misuse import KEY, Counting  # needs JAX
+    from tests.recorder.test_wrap_misuse import Counting, key  # needs JAX
 
     give = jax.jit(lambda array: array * 1, donate_argnums=0)
     made = 60 if steps == 60 else 28
     with pytest.raises(DataLost, match="donate_argnums"), wrap(Counting(), tmp_path / "a.mcap", steps=steps) as envs:
-        states = [envs.reset(KEY)]
+        states = [envs.reset(key())]
         for number in range(made):
             if number == 27:
                 give(states[-2].obs)

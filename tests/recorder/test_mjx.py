@@ -25,10 +25,10 @@ from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.action_generator import Streams
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import run_python
-from tests.recorder.engines import PAIR, bits, build, counts, cubes, make
+from tests.recorder.engines import PAIR, bits, build, counts, cubes, make, needed
 
-pytest.importorskip("jax")
-pytest.importorskip("mujoco.mjx")
+needed("jax")
+needed("mujoco.mjx")
 
 LEVELS = {
     "default": "",

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("newton")
-
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Sphere, solid_inertia
@@ -25,6 +23,8 @@ from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import BODY_FIELDS
 from tests.recorder import engines
 from tests.recorder.engines import field
+
+engines.needed("newton")
 
 G = 9.81
 

@@ -11,8 +11,6 @@ import mujoco
 import numpy as np
 import pytest
 
-pytest.importorskip("newton")
-
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
 from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
@@ -25,6 +23,8 @@ from gpusimbench.schemas.imported import PARAMETERS
 from gpusimbench.schemas.model_files import pack
 from tests.conftest import call
 from tests.recorder import engines
+
+engines.needed("newton")
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import metadata
 from pathlib import Path
 from subprocess import PIPE, Popen
 from types import ModuleType, SimpleNamespace
@@ -235,6 +236,26 @@ def test_other_variables_stay_as_the_user_set_them(monkeypatch: pytest.MonkeyPat
     monkeypatch.delenv("GSB_TEST_TWO", raising=False)
     apply_environment({"GSB_TEST_ONE": "engine", "GSB_TEST_TWO": "engine"})
     assert (os.environ["GSB_TEST_ONE"], os.environ.pop("GSB_TEST_TWO")) == ("user", "engine")
+
+
+def test_packages_are_named_as_python_names_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """List what a parse of all metadata says, of packages here and of metadata that lead a quick look astray."""
+    for name, file, text in (
+        ("spelled.dist-info", "METADATA", "metadata-version: 2.1\nNAME: Spelled.Out\nversion:   1.0\n"),
+        ("described.dist-info", "METADATA", "Name: described\nVersion: 2.0\n\nVersion: 3.0\n"),
+        ("folded.dist-info", "METADATA", "Name: folded\nLicense: of\n        Version: 4.0\nVersion: 5.0\n"),
+        ("nameless.dist-info", "METADATA", "Version: 6.0\n"),
+        ("old.egg-info", "PKG-INFO", "Name: old\nVersion: 7.0\n"),
+    ):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / file).write_text(text)
+    (tmp_path / "oldest.egg-info").write_text("Name: oldest\nVersion: 8.0\n")
+    monkeypatch.setattr("sys.path", [str(tmp_path), *sys.path])
+    parsed: dict[str, str] = {}
+    for found in metadata.distributions():
+        parsed.setdefault(found.metadata["Name"] or "?", found.version)
+    assert {"Spelled.Out", "described", "folded", "?", "old", "oldest", "numpy"} <= parsed.keys()
+    assert dict(line.split("==") for line in package_list().splitlines()) == parsed
 
 
 def test_a_package_of_two_versions(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

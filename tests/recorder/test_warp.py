@@ -23,7 +23,7 @@ from tests.conftest import Command
 from tests.recorder import engines
 from tests.recorder.engines import PAIR
 
-pytest.importorskip("mujoco_warp")
+engines.needed("mujoco_warp")
 
 build = partial(engines.build, "warp")
 

@@ -19,8 +19,9 @@ from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.treatment import Initial, Keep
+from tests.recorder.engines import needed
 
-pytest.importorskip("mujoco_warp")
+needed("mujoco_warp")
 
 pytestmark = pytest.mark.slow  # kernels are built
 

@@ -26,9 +26,10 @@ from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 from gpusimbench.recorder.vector.device.states import Layout, seeds_of
 from gpusimbench.schemas.images import image_hashes
 from tests.conftest import run_python
+from tests.recorder.engines import needed
 
-pytest.importorskip("brax")
-jax = pytest.importorskip("jax")
+needed("brax")
+jax = needed("jax")
 
 N_ENV, LONGEST = 3, 7
 

@@ -7,6 +7,7 @@ import resource
 import signal
 import time
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +19,22 @@ from gpusimbench import RecordingWriter, UsageError, open_recording, record_roll
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.device import rows
 from gpusimbench.schemas.errors import DataLost
+from tests.recorder.engines import needed
 
-jax = pytest.importorskip("jax")
-jnp = jax.numpy
+jax, jnp = needed("jax"), needed("jax.numpy")
 
 N_ENV = 3
-KEY = jax.random.PRNGKey(0)
 
 
-@jax.tree_util.register_dataclass
+def key() -> Any:
+    return jax.random.PRNGKey(0)
+
+
+@cache
+def _register() -> None:
+    jax.tree_util.register_dataclass(State)
+
+
 @dataclass
 class State:
     """What Brax and MuJoCo Playground call a state."""
@@ -48,6 +56,7 @@ class Counting:
     dt = 0.1
 
     def __init__(self, *, autoreset: bool = False, **changes: Any) -> None:
+        _register()
         self._changes = changes
         self._first = {"first_obs": jnp.zeros((N_ENV, 1))} if autoreset else {}
 
@@ -68,7 +77,7 @@ class Counting:
 def stepped(env: Any, path: Path, *, steps: int = 8, action: Any = None, before: Any = None) -> Recording:
     """A recording of an environment; before(step, state) gives the state that a step begins in."""
     with wrap(env, path, steps=steps) as recorded:
-        state = recorded.reset(KEY)
+        state = recorded.reset(key())
         for step in range(steps):
             state = recorded.step(before(step, state) if before else state, action or jnp.zeros((N_ENV, 1)))
     recording = open_recording(path)
@@ -118,14 +127,15 @@ def test_observations_that_the_user_makes_others(change: Any, said: str, tmp_pat
         ({"obs": lambda obs: jax.random.split(jax.random.key(0), 3)}, None, "observation is key<fry>; arrays of real"),
         ({}, [[0.5]], "action/0/0 is float, and no array"),
         ({}, {"a": None}, "action/a is NoneType, and no array"),
-        ({}, jnp.zeros((4, 1)) + 1, r"action has shape \(4, 1\)"),
+        ({}, lambda: jnp.ones((4, 1)), r"action has shape \(4, 1\)"),
     ],
 )
 def test_arrays_that_cannot_be_recorded(changes: Any, action: Any, said: str, tmp_path: Path) -> None:
     """Say at the first step which array is none of real numbers for each environment; leave nothing."""
     recorded = wrap(Counting(**changes), tmp_path / "a.mcap", steps=4)
+    given = action() if callable(action) else jnp.zeros((N_ENV, 1)) if action is None else action
     with pytest.raises(UsageError, match=said):
-        recorded.step(recorded.reset(KEY), jnp.zeros((N_ENV, 1)) if action is None else action)
+        recorded.step(recorded.reset(key()), given)
     recorded.close()
     assert not list(tmp_path.iterdir())
 
@@ -141,7 +151,7 @@ def test_a_wrap_of_a_wrap(tmp_path: Path) -> None:
 def test_rollouts_of_nothing(tmp_path: Path) -> None:
     """Refuse scans of no step, states and actions that are none, and a name for names; take lists of arrays."""
     env, path = Counting(), tmp_path / "a.mcap"
-    first = env.reset(KEY)
+    first = env.reset(key())
     actions = jnp.zeros((4, N_ENV, 1))
     _, states = jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, first, actions)
     for wrong, said in (
@@ -286,7 +296,7 @@ def test_an_interruption_while_the_disk_is_behind(
     monkeypatch.setattr(RecordingWriter, "append", slow)
     monkeypatch.setattr(rows, "_WAIT_S", 0.0)
     recorded: Any = wrap(Counting() if functional else cartpoles(), tmp_path / "a.mcap")
-    state = recorded.reset(KEY) if functional else recorded.reset(seed=0)
+    state = recorded.reset(key()) if functional else recorded.reset(seed=0)
     for _ in range(70):
         state = recorded.step(*((state, jnp.zeros((N_ENV, 1))) if functional else ([0, 1],)))
     before = signal.signal(number, interrupted)

@@ -97,7 +97,8 @@ _JOINTS = {
 }
 Points = NDArray[np.float64]
 Triangles = NDArray[np.int64]
-_CELLS = np.unique(np.geomspace(2, 96, 32).astype(int))[::-1]  # along the longest side, the most first
+# along the longest side, the most first; np.unique would import numpy.ma, in each recording of MuJoCo's
+_CELLS = np.array(sorted({int(cells) for cells in np.geomspace(2, 96, 32)}, reverse=True))
 
 
 def geometry_of(model: Any) -> bytes:
