@@ -48,7 +48,7 @@ def _treatment(parse: Callable[[str], Initial | Given | Vary | Intervention | Ke
         try:
             return text and str(parse(text))
         except ValueError:
-            raise DamagedRecording(f"{name} is none that is known: {text[:40]!r}") from None
+            raise DamagedRecording(f"{name} has an unknown value: {text[:40]!r}") from None
 
     return read
 
@@ -63,7 +63,7 @@ class Setting:
 
     The JSON of a recording leaves it out where it is empty: equal to `empty`.
 
-    read    the value that a record has by a name; DamagedRecording where it is none that is known
+    read    the value that a record has by a name; DamagedRecording where the value is unknown
     title   what reports call the setting; empty where results do not depend on it: runs that differ in nothing else are
             then repetitions. All others belong to the key of a group, its label, the JSON and the page
     empty   the value where nothing was asked for: "", 0 or another value that is false

@@ -179,8 +179,8 @@ def begun(
         raise UsageError("--from captures states from a step on, and --phases has no capture")
     if from_step % c.stride or from_step >= c.steps:
         raise UsageError(
-            f"{path} has states of every {ordinal(c.stride)} step up to {c.steps}: --from {from_step} is not one "
-            "of those before the last"
+            f"{path} has states of every {ordinal(c.stride)} step up to {c.steps}: --from {from_step} must be one "
+            "of these steps, and not the last"
         )
     initial = drawn(c.initial)
     if initial is not None and initial.shift:

@@ -259,7 +259,7 @@ def test_wrong_texts(text: str) -> None:
         parse(text)
     record = RunConfiguration("mujoco", "free-fall", 1, 0.01, 1).to_json()
     assert "keep" not in record
-    with pytest.raises(DamagedRecording, match="keep is none that is known"):
+    with pytest.raises(DamagedRecording, match="keep has an unknown value"):
         RunConfiguration.from_json({**record, "keep": text})
 
 

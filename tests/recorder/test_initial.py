@@ -194,7 +194,7 @@ def test_nothing_that_can_be_drawn(text: str, gsb_record: Command, tmp_path: Pat
     with pytest.raises(UsageError):
         parse(text, 16)
     known = RunConfiguration("mujoco", "free-fall", 1, 0.01, 10, initial="random:0.1").to_json()
-    with pytest.raises(DamagedRecording, match="initial is none that is known"):
+    with pytest.raises(DamagedRecording, match="initial has an unknown value"):
         RunConfiguration.from_json({**known, "initial": text})
 
 

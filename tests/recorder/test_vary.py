@@ -80,7 +80,7 @@ def test_in_a_recording() -> None:
     configuration = RunConfiguration("mujoco", "free-fall", 2, 0.01, 4, vary="mass:0.1")
     assert RunConfiguration.from_json(configuration.to_json()) == configuration
     assert "vary" not in replace(configuration, vary="").to_json()
-    with pytest.raises(DamagedRecording, match="vary is none that is known"):
+    with pytest.raises(DamagedRecording, match="vary has an unknown value"):
         RunConfiguration.from_json({**configuration.to_json(), "vary": "colour:0.1"})
 
 
