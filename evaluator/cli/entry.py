@@ -23,12 +23,13 @@ from gpusimbench.schemas.text import line, show
 if TYPE_CHECKING:
     from gpusimbench.evaluator.render.document import Document
 
-_SIGNS = "gpusimbench-signs"
+SIGNS = "gpusimbench-signs"
 """Of `codecs`: what a stream writes for a sign that its encoding does not have."""
 
 _IN_ASCII = {
     "±": "+-", "µ": "u", "×": "x", "−": "-", "–": "-", "≤": "<=", "≥": ">=", "→": "->", "…": "...", "†": "+", "·": ".",
-    "°": " deg", **dict(zip("▁▂▃▄▅▆▇█", "12345678", strict=True)),
+    "°": " deg", "“": '"', "”": '"',
+    **dict(zip("▁▂▃▄▅▆▇█", "12345678", strict=True)), **{sign: f"^{n}" for n, sign in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")},
 }  # fmt: skip
 
 
@@ -38,7 +39,7 @@ def _without_signs(error: UnicodeError) -> tuple[str, int]:
     return "".join(_IN_ASCII.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
 
 
-codecs.register_error(_SIGNS, _without_signs)
+codecs.register_error(SIGNS, _without_signs)
 
 _NO_THREAD = "can't start new thread"
 """What Python says of a thread whose stack finds no memory."""
@@ -67,7 +68,7 @@ def enter(
     arguments = parser.parse_args(given)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors=_SIGNS)  # a terminal without ± still gets its table
+            stream.reconfigure(errors=SIGNS)  # a terminal without ± still gets its table
     try:
         with warnings.catch_warnings():
             # states may be of any size, or not finite: the results say so, and no library beside them

@@ -49,7 +49,7 @@ def describe_software() -> dict[str, Any]:
 
 def package_list() -> str:
     """Every installed distribution, one "name==version" a line; of several versions of one, that which is imported."""
-    versions: dict[str, str] = {}
+    versions: dict[str, str | None] = {}
     for found in metadata.distributions():  # in the order in which Python looks for modules
         name, version = _named(found)
         versions.setdefault(name, version)
@@ -63,16 +63,19 @@ def _version(distribution: str) -> str | None:
         return None
 
 
-def _named(found: metadata.Distribution) -> tuple[str, str]:
+def _named(found: metadata.Distribution) -> tuple[str, str | None]:
     # importlib.metadata parses the description, too, a page of each package: half of the time of a short run
-    text = found.read_text("METADATA") or found.read_text("PKG-INFO")
+    try:
+        text = found.read_text("METADATA") or found.read_text("PKG-INFO")
+    except UnicodeDecodeError:  # of another package, which is no reason to record nothing
+        return "?", None
     if text is None:  # a file alone, as distutils left it
         return found.metadata["Name"] or "?", found.version
     fields: dict[str, str] = {}
-    for line in text.partition("\n\n")[0].splitlines():
+    for line in text.partition("\n\n")[0].split("\n"):  # splitlines() also splits values, at U+2028 and its like
         field, _, value = line.partition(":")
         fields.setdefault(field.lower(), value.strip())
-    return fields.get("name") or "?", fields.get("version", "")
+    return fields.get("name") or "?", fields.get("version")
 
 
 def _commit() -> dict[str, Any]:

@@ -7,6 +7,7 @@ command is asked for; the recorder and the evaluator stay strangers to each othe
 from __future__ import annotations
 
 import argparse
+import io
 import sys
 from dataclasses import dataclass
 from importlib import import_module
@@ -114,6 +115,8 @@ def main(argv: list[str] | None = None) -> int:
     if not given:
         from gpusimbench.next_steps import next_steps
 
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="backslashreplace")  # names of files in a poorer encoding than theirs
         show(block(next_steps()))
         return 0
     if command := COMMANDS.get(given[0]):

@@ -136,6 +136,8 @@ def test_nothing_planted(tmp_path: Path) -> None:
     of_two = f"{yes} of {yes} answers are yes ({runs}, {envs} and {len(others)} more)"
     assert verdict_of(list(found.values()), named=2) == of_two
     assert verdict_of([found["runs"]], named=2) == f"1 of 1 answer is yes ({found['runs'].title})"
+    no = replace(found["runs"], answer=Answer.NO)
+    assert verdict_of([no]) == f"0 of 1 answer is yes; no: {no.title}"
     assert verdict_of([found["capture"]], named=2) == "nothing was asked"
     assert evidence(found["number"]) == "bit-identical: 7 pairs, 31 steps"
     # two runs agreed with the first of their arm: 1 - 0.05^(1/2)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
+from gpusimbench.evaluator.cli import entry
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture import state_work
 from gpusimbench.recorder.capture.sink import Sink
@@ -275,6 +276,11 @@ def test_signs_that_an_encoding_lacks_keep_their_meaning(gsb_eval: Command) -> N
     done = gsb_eval(*runs, env={**os.environ, "PYTHONIOENCODING": "ascii"}, encoding="ascii", code=0)
     assert "11,889 +- 906" in done.stdout
     assert "?" not in done.stdout
+
+
+def test_marks_of_footnotes_in_ascii() -> None:
+    """Print which footnote a row has, and not a question mark."""
+    assert "mjx ¹, warp ¹⁰, R² “a”".encode("ascii", entry.SIGNS) == b'mjx ^1, warp ^1^0, R^2 "a"'
 
 
 def test_env_local_positions_are_not_shifted_again(gsb_eval: Command, tmp_path: Path) -> None:

@@ -215,7 +215,9 @@ def test_options_in_force() -> None:
     assert description.options["cone"] == "pyramidal"
     assert description.options["gap"] == 0.0
     assert description.options["restitution"] is None
-    _, description = build(LANDING, "xpbd", gap="0.02", restitution="on")
+    assert description.options["max_contacts"] is None
+    _, description = build(LANDING, "xpbd", gap="0.02", restitution="on", max_contacts="900")
+    assert description.options["max_contacts"] == 900
     assert (description.options["iterations"], description.options["restitution"]) == (2, True)
     assert description.options["gap"] == 0.02
     assert description.switches["precision"] == "float32"

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.probes.gpu import Gpus, Processes
-from gpusimbench.recorder.probes.software import package_list
+from gpusimbench.recorder.probes.software import describe_software, package_list
 from gpusimbench.recorder.run.engine import apply_environment
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
@@ -244,18 +244,30 @@ def test_packages_are_named_as_python_names_them(monkeypatch: pytest.MonkeyPatch
         ("spelled.dist-info", "METADATA", "metadata-version: 2.1\nNAME: Spelled.Out\nversion:   1.0\n"),
         ("described.dist-info", "METADATA", "Name: described\nVersion: 2.0\n\nVersion: 3.0\n"),
         ("folded.dist-info", "METADATA", "Name: folded\nLicense: of\n        Version: 4.0\nVersion: 5.0\n"),
+        ("split.dist-info", "METADATA", "Name: split\nSummary: a\u2028Version: 4.5\nVersion: 5.5\n"),
         ("nameless.dist-info", "METADATA", "Version: 6.0\n"),
+        ("unversioned.dist-info", "METADATA", "Name: unversioned\n"),
         ("old.egg-info", "PKG-INFO", "Name: old\nVersion: 7.0\n"),
     ):
         (tmp_path / name).mkdir()
-        (tmp_path / name / file).write_text(text)
+        (tmp_path / name / file).write_text(text, encoding="utf-8")
     (tmp_path / "oldest.egg-info").write_text("Name: oldest\nVersion: 8.0\n")
     monkeypatch.setattr("sys.path", [str(tmp_path), *sys.path])
     parsed: dict[str, str] = {}
     for found in metadata.distributions():
         parsed.setdefault(found.metadata["Name"] or "?", found.version)
     assert {"Spelled.Out", "described", "folded", "?", "old", "oldest", "numpy"} <= parsed.keys()
-    assert dict(line.split("==") for line in package_list().splitlines()) == parsed
+    assert dict(line.split("==") for line in package_list().splitlines()) == {n: str(v) for n, v in parsed.items()}
+
+
+def test_metadata_in_another_encoding(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Record beside a package whose metadata are not UTF-8, and list that there is one."""
+    (tmp_path / "foreign-1.0.dist-info").mkdir()
+    (tmp_path / "foreign-1.0.dist-info" / "METADATA").write_bytes(b"Name: foreign\nVersion: 1.0\nAuthor: Ren\xe9\n")
+    monkeypatch.setattr("sys.path", [str(tmp_path), *sys.path])
+    assert "?==None" in package_list().splitlines()
+    monkeypatch.setattr("gpusimbench.recorder.probes.software.NUMERIC_PACKAGES", ("foreign", "numpy"))
+    assert list(describe_software()["packages"]) == ["numpy"]
 
 
 def test_a_package_of_two_versions(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

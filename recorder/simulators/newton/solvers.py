@@ -99,9 +99,10 @@ def in_force(solver: Any, options: NewtonOptions, *, files: bool) -> dict[str, A
 
     files  the scene is a model file, whose geoms have contact parameters of their own
     """
-    sizes = {"max_contacts", "max_rows"}  # said with the buffers
-    found: dict[str, Any] = {field.name: None for field in fields(options) if field.name not in sizes}
+    found: dict[str, Any] = {field.name: None for field in fields(options)}
     found |= {"solver": options.solver, "substeps": options.substeps, "device": str(solver.model.device)}
+    # as asked for; the buffers, by the engine's names, say what was measured
+    found |= {"max_contacts": options.max_contacts or None, "max_rows": options.max_rows or None}
     found["gap"] = detection_distance(options)
     return found | _of_solver(solver, options, files)
 
