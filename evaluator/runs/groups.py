@@ -148,7 +148,7 @@ def key_of(recording: Described) -> GroupKey:
         warmup=c.warmup if timed else 0,
         timed_steps=c.timed_steps if timed else 0,
         determinism=c.determinism,
-        options=_canonical(_in_force(_options(simulation, c.options))),
+        options=_canonical(_in_force(_options(c.simulator, simulation, c.options))),
         # the level that was asked for has a place of its own, and so have the versions of packages
         switches=_canonical(_without(simulation.switches, ("determinism", *conditions))) if simulation else "",
         conditions=_canonical(conditions),
@@ -158,13 +158,26 @@ def key_of(recording: Described) -> GroupKey:
     )
 
 
-def _options(simulation: Simulation | None, given: Mapping[str, str]) -> Mapping[str, Any]:
+def _options(simulator: str, simulation: Simulation | None, given: Mapping[str, str]) -> Mapping[str, Any]:
     """Those in force, and as they were given those that the engine does not tell: runs that differ in these were asked
     for something else."""
     if simulation is None:
         return given
     told = {*simulation.options, *simulation.switches, *(one.name for one in simulation.buffers), "device"}
+    told |= {option for option, name in TOLD_AS.get(simulator, {}).items() if name in told}
     return {**_without(given, told), **simulation.options}
+
+
+TOLD_AS = {
+    "genesis": {
+        "broad_phase_multiplier": "multiplier_collision_broad_phase",
+        "broadphase": "broadphase_traversal",
+        "cone": "friction_cone",
+        "mujoco_compatibility": "enable_mujoco_compatibility",
+        "solver": "constraint_solver",
+    }
+}
+"""Options that an engine tells by names of its own, by simulator."""
 
 
 # what follows from the scene or from the number of environments, and is no choice: rows that wait on the device to be

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.runs.groups import group
+from gpusimbench.evaluator.runs.groups import TOLD_AS, group, key_of
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given, row_names, short_device
+from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from tests.conftest import Command, call
 from tests.synthetic import changing, grid, write_recording
@@ -318,3 +319,14 @@ def test_packages_that_other_simulators_execute_part_no_groups(
     files = [write_recording(tmp_path, grid(1), simulator=simulator, run=run) for run in (0, 1)]
     files.append(write_recording(tmp_path, grid(1), simulator=simulator, run=2, change=other))
     assert len(group([open_recording(file) for file in files])) == groups
+
+
+def test_options_that_an_engine_tells_by_another_name() -> None:
+    """Tell no group apart by an option that was given the value that is in force without it, and alias no option that
+    there is not."""
+    recording = open_recording(Path(__file__).parents[2] / "recordings" / "humanoid" / "genesis-cpu.mcap")
+    assert recording.simulation is not None
+    assert recording.configuration.options == {"solver": recording.simulation.options["constraint_solver"]}
+    assert "solver" not in json.loads(key_of(recording).options)
+    for simulator, names in TOLD_AS.items():
+        assert names.keys() <= {field.name for field in fields(find_simulator(simulator).adapter().Options)}
