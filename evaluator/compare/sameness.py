@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gpusimbench.evaluator.compare.finding import Change, Finding, judged, not_compared
-from gpusimbench.evaluator.missing import every, known
+from gpusimbench.evaluator.missing import Missing, every, known
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, comparable, identical
@@ -39,27 +39,14 @@ def all_alike(side: GroupRuns) -> bool:
 
 def compare_bits(base: Runs, head: Runs) -> Finding | None:
     """Whether head's states are base's, bit for bit, and if not, from which step on; None where none were captured."""
-    runs = [*base, *head]
-    if not any(r.histories for r in runs):
+    if not any(r.histories for r in (*base, *head)):
         return None
     n = (len(base), len(head))
     method = "64-bit state hashes of every environment at every captured step"
-    if len(set(map(comparable, runs))) > 1:
-        return not_compared(
-            Axis.BITS, "states", _STATES, "the scene, the seed of the actions or the layout of the states differs"
-        )
-    found = [[r.histories for r in side if r.histories] for side in (base, head)]
-    if not all(found) or sum(map(len, found)) < len(runs):
-        return not_compared(Axis.BITS, "states", _STATES, "not all runs captured states")
-    for name, side in zip(("base", "head"), found, strict=True):
-        if len({h.until(len(h.steps)) for h in side}) > 1:
-            shared = _shared(*found)
-            return not_compared(Axis.BITS, "states", _STATES, f"runs of {name} differ from each other; {shared}")
-    one, other = found[0][0], found[1][0]
-    rows = min(len(one.steps), len(other.steps))
-    if not rows or not np.array_equal(one.steps[:rows], other.steps[:rows]):
-        return not_compared(Axis.BITS, "states", _STATES, "different steps were captured")
-    since = _first_apart(one, other)
+    pair = _one_of_each(base, head, complete=True)
+    if isinstance(pair, Missing):
+        return not_compared(Axis.BITS, "states", _STATES, pair.reason)
+    since = _first_apart(*pair)
     same = since is None
     if not same and min(n) < 2:
         why = (
@@ -67,9 +54,32 @@ def compare_bits(base: Runs, head: Runs) -> Finding | None:
             "needs two runs a side"
         )
         return not_compared(Axis.BITS, "states", _STATES, why)
+    rows = min(len(side.steps) for side in pair)
     said = f"bit-identical at {plural(rows, 'step')}" if same else f"differ from step {since} on"
     change = Change.SAME if same else Change.CHANGED
     return Finding(Axis.BITS, "states", _STATES, change, said=("", said), n=n, method=method)
+
+
+def _one_of_each(base: Runs, head: Runs, *, complete: bool) -> tuple[Histories, Histories] | Missing:
+    """The states of a run of each side, which stand for those of all of its runs; Missing where they do not, or cannot
+    be compared.
+
+    complete  all runs must have captured states, not one of each side alone
+    """
+    runs = [*base, *head]
+    if len(set(map(comparable, runs))) > 1:
+        return Missing("the scene, the seed of the actions or the layout of the states differs")
+    found = [[r.histories for r in side if r.histories] for side in (base, head)]
+    if not all(found) or (complete and sum(map(len, found)) < len(runs)):
+        return Missing("not all runs captured states")
+    for name, side in zip(("base", "head"), found, strict=True):
+        if len({h.until(len(h.steps)) for h in side}) > 1:
+            return Missing(f"runs of {name} differ from each other; {_shared(*found)}")
+    one, other = found[0][0], found[1][0]
+    rows = min(len(one.steps), len(other.steps))
+    if not rows or not np.array_equal(one.steps[:rows], other.steps[:rows]):
+        return Missing("different steps were captured")
+    return one, other
 
 
 def _first_apart(one: Histories, other: Histories) -> int | None:
@@ -82,18 +92,10 @@ def _first_apart(one: Histories, other: Histories) -> int | None:
 def apart_by_chance(before: Runs, after: Runs) -> int | None:
     """The first step at which states differ that compare_bits does not judge, because a side has a single run and
     runs of one side may differ as well; None where it judges, or where they do not differ."""
-    finding = compare_bits(before, after)
-    if finding is None or finding.change is not Change.NOT_COMPARED or min(len(before), len(after)) > 1:
+    if min(len(before), len(after)) > 1:
         return None
-    runs = [*before, *after]
-    found = [[run.histories for run in side if run.histories] for side in (before, after)]
-    if len(set(map(comparable, runs))) > 1 or not all(found):
-        return None
-    if any(len({h.until(len(h.steps)) for h in side}) > 1 for side in found):
-        return None
-    one, other = found[0][0], found[1][0]
-    rows = min(len(one.steps), len(other.steps))
-    return _first_apart(one, other) if np.array_equal(one.steps[:rows], other.steps[:rows]) else None
+    pair = _one_of_each(before, after, complete=False)
+    return None if isinstance(pair, Missing) else _first_apart(*pair)
 
 
 def compare_arrays(base: Runs, head: Runs) -> Finding | None:

@@ -58,7 +58,7 @@ class GroupKey:
     origins: str
     settings: Settings = ()
 
-    @property
+    @cached_property  # labels ask each key about each other
     def told(self) -> dict[str, Any]:
         """Every setting of TELLING by name, those that are empty included."""
         given = dict(self.settings)

@@ -150,7 +150,7 @@ def _told_apart(name: str, key: GroupKey, rival: GroupKey) -> bool:
 
 
 def _value(name: str, key: GroupKey) -> Any:
-    return dict(key.settings).get(name) if name in TELLING else getattr(key, name)
+    return (key.told[name] or None) if name in TELLING else getattr(key, name)
 
 
 def _rivals(one: GroupKey, other: GroupKey) -> bool:

@@ -109,18 +109,17 @@ class Depths:
         if isinstance(slack, Missing):
             return dict.fromkeys(checks, slack)
         size, several = slack.size, still.sum(axis=1) > 1
-        facts: dict[Check, Fact] = dict.fromkeys(checks, Missing("the scene has no fixed bodies"))
+        fixed: Fact = Missing("the scene has no fixed bodies")
         if self._setting.world.fixed:
             deepest = deep[still.any(axis=1)]
-            facts[Check.DEPTH_REST] = measured(deepest, low=None, high=0.0, tolerance=size, of=slack.of, note=note)
-        if several.any():
-            pairs = self._pairs_at_rest(end[0][several], turn[0][several], still[several])
-            facts[Check.PAIR_REST] = measured(pairs, low=None, high=0.0, tolerance=size, of=slack.of)
-        else:
-            facts[Check.PAIR_REST] = Missing("no two bodies of an environment are at rest at the end")
+            fixed = measured(deepest, low=None, high=0.0, tolerance=size, of=slack.of, note=note)
+        pair: Fact = Missing("no two bodies of an environment are at rest at the end")
         if len(self._setting.world.moving) == 1:
-            facts[Check.PAIR_REST] = _ALONE
-        return facts
+            pair = _ALONE
+        elif several.any():
+            pairs = self._pairs_at_rest(end[0][several], turn[0][several], still[several])
+            pair = measured(pairs, low=None, high=0.0, tolerance=size, of=slack.of)
+        return {Check.DEPTH_REST: fixed, Check.PAIR_REST: pair}
 
     def _in_fixed(self, position: Array, turn: Array) -> Array:
         # [row, env, body]
