@@ -282,9 +282,7 @@ def _captured(recording: Recording, phases: dict[str, float]) -> tuple[Rate | No
 
 def _memory(recording: Recording) -> dict[str, Memory]:
     return {
-        source: Memory(
-            len(trace.used_bytes), trace.at("baseline"), int(trace.used_bytes.max()), trace.total_bytes or None
-        )
+        source: Memory(trace.readings, trace.at("baseline"), int(trace.used_bytes.max()), trace.total_bytes or None)
         for source, trace in recording.memory.items()
     }
 

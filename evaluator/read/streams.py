@@ -74,6 +74,7 @@ _SAMPLE = {
     8: ("other_processes", "uint32"),
     9: ("other_bytes", "uint64"),
     10: ("reserved_bytes", "uint64"),
+    11: ("omitted_readings", "uint32"),
 }
 """Numbers of a MemorySample by their field."""
 
@@ -83,7 +84,7 @@ _UNTOLD: _Others = (None, None)
 
 @dataclass(frozen=True)
 class MemoryTrace:
-    """Readings of one memory source, in order of time.
+    """Readings of one memory source, in order of time; of equal ones in a row, perhaps the first and last alone.
 
     time_ns      host's monotonic clock, shape [sample]
     used_bytes   shape [sample]
@@ -93,6 +94,7 @@ class MemoryTrace:
     others       processes beside the run's own and their bytes, None where either is unknown, one per sample; empty
                  where no sample tells
     reserved     what the driver keeps for itself [byte], by checkpoint
+    omitted      readings that are not here, each equal to the one before and the one behind
     """
 
     time_ns: NDArray[np.int64]
@@ -102,6 +104,12 @@ class MemoryTrace:
     total_bytes: int
     others: tuple[_Others, ...] = ()
     reserved: dict[str, int] = field(default_factory=dict)
+    omitted: int = 0
+
+    @property
+    def readings(self) -> int:
+        """How many readings were taken."""
+        return len(self.time_ns) + self.omitted
 
     def most_others(self, *, checkpoint: str = "", phase: str = "") -> tuple[int, int | None] | None:
         """The most processes beside the run's own at a checkpoint, or in a phase, and the most bytes that they held.
@@ -207,7 +215,7 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
         # hours of readings are many: nothing but numbers is kept of each, and one text for all that have it
         times, used, total = list[NDArray[np.int64]](), list[NDArray[np.int64]](), 0
         phases, checkpoints, texts = list[str](), list[str](), dict[str, str]()
-        others, kept, reserved = list[_Others](), dict[_Others, _Others](), dict[str, int]()
+        others, kept, reserved, omitted = list[_Others](), dict[_Others, _Others](), dict[str, int](), 0
         for part in messages.columns(topic, "gsb.v1.MemorySample", _SAMPLE):
             numbers, which = part.numbers, part.which.tolist()
             if max(numbers[name].max() for name in ("used_bytes", "other_bytes", "reserved_bytes")) >= _MAX_BYTES:
@@ -215,6 +223,7 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
             times.append(numbers["monotonic_ns"].view(np.int64))
             used.append(numbers["used_bytes"].astype(np.int64))
             total = int(numbers["total_bytes"][-1])
+            omitted += int(numbers["omitted_readings"].sum())
             shapes = [
                 _Shape(texts.setdefault(s.phase, s.phase), texts.setdefault(s.checkpoint, s.checkpoint), s)
                 for s in part.parsed
@@ -234,6 +243,7 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
                 total,
                 tuple(others) if set(kept) != {_UNTOLD} else (),
                 reserved,
+                omitted,
             )
     return found
 

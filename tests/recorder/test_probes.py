@@ -5,20 +5,25 @@ from __future__ import annotations
 import os
 import sys
 from importlib import metadata
+from itertools import groupby
 from pathlib import Path
 from subprocess import PIPE, Popen
 from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.probes.gpu import Gpus, Processes
+from gpusimbench.recorder.probes.memory import MemorySampler
 from gpusimbench.recorder.probes.software import describe_software, package_list
 from gpusimbench.recorder.run.engine import apply_environment
+from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import PROVENANCE, Provenance
@@ -92,8 +97,30 @@ def test_a_driver_that_fails(gsb_record: Command, tmp_path: Path, how: str, gpus
     assert [c for c in host.checkpoint if c] == ["baseline", "post-init", "post-warmup", "final"]
     if how == "memory":
         number = int(notes[0].split()[0])
-        lost = len(recording.memory["gpu0/device"].time_ns) - len(recording.memory["gpu1/device"].time_ns)
+        lost = recording.memory["gpu0/device"].readings - recording.memory["gpu1/device"].readings
         assert 0 < lost <= number
+
+
+@given(st.lists(st.tuples(st.integers(1, 3), st.sampled_from(["", "", "", "final", "take"])), min_size=1, max_size=40))
+def test_equal_readings_in_a_row(read: list[tuple[int, str]]) -> None:
+    """Keep the first and the last, and how many were between them, so that every reading can be had again."""
+    with Gpus(hidden=True) as gpus:
+        sampler = MemorySampler(gpus)
+    values = iter([used for used, _ in read])
+    sampler._process = SimpleNamespace(memory_info=lambda: SimpleNamespace(rss=next(values)))
+    kept = list[dict[str, Any]]()
+    for _, what in read:
+        sampler.checkpoint(what) if what == "final" else sampler.read_now()
+        kept += [reading.fields for reading in sampler.take()] if what == "take" else []
+    kept += [reading.fields for reading in sampler.take() if reading.topic == topics.MEMORY_HOST]
+    every = list[int]()
+    for fields in kept:
+        assert not fields.get("omitted_readings") or every[-1] == fields["used_bytes"]
+        every += [fields["used_bytes"]] * (1 + fields.get("omitted_readings", 0))
+    assert every == [used for used, _ in read]
+    assert [f["checkpoint"] for f in kept if f["checkpoint"]] == [what for _, what in read if what == "final"]
+    if not any(what for _, what in read):
+        assert len(kept) == sum(min(len(list(alike)), 2) for _, alike in groupby(every))
 
 
 class _Process(NamedTuple):
