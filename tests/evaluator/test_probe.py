@@ -138,7 +138,7 @@ def test_nothing_planted(tmp_path: Path) -> None:
     assert verdict_of([found["runs"]], named=2) == f"1 of 1 answer is yes ({found['runs'].title})"
     no = replace(found["runs"], answer=Answer.NO)
     assert verdict_of([no]) == f"0 of 1 answer is yes; no: {no.title}"
-    assert verdict_of([found["capture"]], named=2) == "nothing was asked"
+    assert verdict_of([found["capture"]], named=2) == "no question of gsb-probe has the runs that it compares"
     assert evidence(found["number"]) == "bit-identical: 7 pairs, 31 steps"
     # two runs agreed with the first of their arm: 1 - 0.05^(1/2)
     assert evidence(found["runs"]).endswith("one more run differs with a probability below 78 % (95 % confidence)")
@@ -257,7 +257,7 @@ def test_what_is_not_there_is_not_asked(tmp_path: Path) -> None:
     assert found["set"].why == "its run is failed: no room"
     assert found["restored"].why == "needs a run with --intervene excursion@STEP+MORE"
     assert found["number"].why == "needs runs of other numbers of environments"
-    assert verdict_of(list(found.values())) == "nothing was asked"
+    assert verdict_of(list(found.values())) == "no question of gsb-probe has the runs that it compares"
 
 
 def test_at_different_origins(tmp_path: Path) -> None:
