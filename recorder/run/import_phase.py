@@ -27,7 +27,7 @@ def write_imported(journal: Journal, simulator: Simulator) -> None:
 
 def write_trials(journal: Journal, scene: ModelScene, make: Make, *, dt: float, seed: int) -> None:
     """Try the model on simulators of its own, and attach what came of it."""
-    from gpusimbench.recorder.simulators.mujoco.drop import dropped
+    from gpusimbench.recorder.simulators.mujoco.trials import dropped
 
     if (found := tried(scene, make, dt=dt, seed=seed)) is None:
         journal.event("NOTE", "the simulator does not tell what it holds of a model file; nothing was tried")

@@ -21,7 +21,7 @@ from gpusimbench.recorder.scenes.base import Body, Box, Material, Plane, Scene, 
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description
-from gpusimbench.recorder.simulators.physx import bodies, grid, libraries, log
+from gpusimbench.recorder.simulators.physx import bodies, grid, libraries, session
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions, apis
 from gpusimbench.recorder.simulators.physx.simulator import Physx
@@ -91,14 +91,16 @@ def scene_of(*bodies: Body) -> Scene:
 @pytest.mark.parametrize("line", OVERFLOWS)
 def test_signs_of_dropped_contacts(line: str) -> None:
     """Every line that PhysX has for dropped contacts is fatal, whatever its level; other warnings are not."""
-    assert log.is_fatal(logging.WARNING, line)
+    assert session.is_fatal(logging.WARNING, line)
 
 
 def test_other_lines() -> None:
     """An error is fatal, and a warning that drops nothing is not."""
-    assert log.is_fatal(logging.ERROR, "PhysX error: PxScene::simulate(): anything, FILE x, LINE 1")
-    assert not log.is_fatal(logging.WARNING, "EnvIds requested but gpu dynamic is disabled.")
-    assert not log.is_fatal(logging.WARNING, "PxgPinnedHostLinearMemoryAllocator: overflowing initial allocation size")
+    assert session.is_fatal(logging.ERROR, "PhysX error: PxScene::simulate(): anything, FILE x, LINE 1")
+    assert not session.is_fatal(logging.WARNING, "EnvIds requested but gpu dynamic is disabled.")
+    assert not session.is_fatal(
+        logging.WARNING, "PxgPinnedHostLinearMemoryAllocator: overflowing initial allocation size"
+    )
 
 
 @given(st.integers(1, 400), st.floats(0.1, 100))
@@ -336,7 +338,7 @@ def test_one_place_needs_a_gpu() -> None:
 @pytest.mark.usefixtures("engine")
 def test_lines_of_the_engine_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """A line that the engine itself prints fires a gate, once."""
-    monkeypatch.setattr(log, "_DROPPED", re.compile("EnvIds requested"))  # what it says of clones on a CPU
+    monkeypatch.setattr(session, "_DROPPED", re.compile("EnvIds requested"))  # what it says of clones on a CPU
     simulator, _ = build(make_scene("free-fall"))
     assert simulator.gates() == [
         "PhysX says, 1 times: EnvIds requested but gpu dynamic is disabled.",

@@ -70,8 +70,7 @@ class Sapien(SapienStepper):
         from sapien import physx
 
         from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds, square_grid
-        from gpusimbench.recorder.simulators.sapien.released import sha256
-        from gpusimbench.recorder.simulators.sapien.settings import check_gpu, enable_gpu, library_path
+        from gpusimbench.recorder.simulators.sapien.settings import check_gpu, enable_gpu, library_path, sha256
         from gpusimbench.recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
 
         options: SapienOptions = self.options

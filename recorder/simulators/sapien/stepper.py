@@ -15,7 +15,7 @@ from gpusimbench.recorder.simulators.sapien.complaints import Complaints
 from gpusimbench.recorder.simulators.sapien.cpu import CpuWorlds
 from gpusimbench.recorder.simulators.sapien.deviations import deviations
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
-from gpusimbench.recorder.simulators.sapien.released import library, modification, sha256
+from gpusimbench.recorder.simulators.sapien.settings import library, modification, sha256
 from gpusimbench.recorder.simulators.sapien.worlds import Worlds
 from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, absent, partial, picked
 from gpusimbench.schemas.provenance import MODIFIED

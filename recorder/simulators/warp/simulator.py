@@ -59,8 +59,7 @@ class MujocoWarp(Slotted):
         import warp as wp
 
         from gpusimbench.recorder.simulators.buffer_sizes import measure
-        from gpusimbench.recorder.simulators.mujoco.model import compile_scene
-        from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
+        from gpusimbench.recorder.simulators.mujoco.model import compile_scene, compile_varied
 
         compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)
         need = measure(compiled, dt=self.dt, seed=self.seed, varied=self.variation is not None)
