@@ -14,6 +14,7 @@ from gpusimbench.recorder.conformance.checks.agreement import (
 from gpusimbench.recorder.conformance.checks.description import (
     buffers_are_measured,
     class_keeps_the_contract,
+    importing_needs_no_engine,
     layout_is_as_the_format_asks,
     says_what_it_is,
 )
@@ -26,7 +27,6 @@ from gpusimbench.recorder.conformance.checks.evidence import (
     gates_stay_silent,
     overflow_stays_silent,
 )
-from gpusimbench.recorder.conformance.checks.importing import importing_needs_no_engine
 from gpusimbench.recorder.conformance.checks.motion import (
     angular_velocity_is_in_the_world_frame,
     ball_rolls_down_the_slope,
