@@ -1,4 +1,4 @@
-"""gsb-record --sim real: measured trials as a recording, so that alignment needs no special case.
+"""gsb-record --sim real: measured trials of a CSV file as a recording, so that alignment needs no special case.
 
 A trial takes the place of an environment. The recording has one step of one sample time, and no state at step 0: what
 was not measured is not there.
@@ -7,24 +7,28 @@ was not measured is not there.
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import json
+import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.plan import MIN_DT
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.trials.reference import new_recording, record_tosses
-from gpusimbench.recorder.trials.trials import UNITS, Trials, parse_trials
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import state_parts
 from gpusimbench.schemas.configuration import RunConfiguration, sim_time_ns
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import FIELD_KINDS, StateField
 from gpusimbench.schemas.provenance import PROVENANCE, REAL, SCENE, SIMULATION, TRIALS, Provenance, Simulation
-from gpusimbench.schemas.trial_units import extent_of, unit_doubt
+from gpusimbench.schemas.trial_units import METRES, extent_of, unit_doubt
 
 _GROUP = "cubes"
 _SAMPLE_TIME = 5.0
@@ -116,3 +120,103 @@ def _write(
     sink.digest.state(field, configuration.n_env, array)
     sink.write_parts(topic, state_parts(array, first_step=1, stride=1, env_start=0, sim_time_ns=time), sim_ns=time)
     sink.finish("COMPLETE", "", last_step=1, peak_rss_bytes=0)
+
+
+COLUMNS = ("trial", "cube", "x", "y")
+HEIGHT = "z"
+UNITS = {unit: METRES[unit] for unit in ("m", "cm")}
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Measured positions.
+
+    names       of the trials, in order of appearance
+    positions   [m], shape [trial, cube, 2 or 3]
+    components  ("x", "y") or ("x", "y", "z")
+    """
+
+    names: tuple[str, ...]
+    positions: NDArray[np.float64]
+    components: tuple[str, ...]
+
+
+def parse_trials(text: str, *, unit: str, cubes: int) -> Trials:
+    """Trials from CSV text with the header trial,cube,x,y[,z]; further columns are not allowed.
+
+    unit   of x, y and z: a key of UNITS
+    cubes  number of cubes in each trial, numbered from 0
+
+    Raises UsageError naming row (the header is row 1) and column of the first thing that is wrong.
+    """
+    try:
+        rows = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline=None)))
+    except csv.Error as error:
+        raise UsageError(f"not readable as CSV: {error}") from None
+    while rows and not any(cell.strip() for cell in rows[-1]):
+        rows.pop()
+    if not rows:
+        raise UsageError("the trials file is empty; its first row is trial,cube,x,y or trial,cube,x,y,z")
+    columns = [cell.strip() for cell in rows[0]]
+    components = _components(columns)
+    place = {name: columns.index(name) for name in (*COLUMNS[:2], *components)}
+    found: dict[str, dict[int, tuple[float, ...]]] = {}
+    first_row: dict[tuple[str, int], int] = {}
+    for number, row in enumerate(rows[1:], start=2):
+        if len(row) != len(columns):
+            raise UsageError(f"row {number} has {len(row)} cells, the header has {len(columns)}")
+        trial = row[place["trial"]].strip()
+        if not trial:
+            raise UsageError(f"row {number}, column trial: empty")
+        cube = _cube(row[place["cube"]], number, cubes)
+        if (trial, cube) in first_row:
+            raise UsageError(
+                f"row {number}, column cube: trial {trial} has cube {cube} already, in row {first_row[trial, cube]}"
+            )
+        first_row[trial, cube] = number
+        point = tuple(_number(row[place[name]], number, name) * UNITS[unit] for name in components)
+        found.setdefault(trial, {})[cube] = point
+    if not found:
+        raise UsageError("the trials file has a header and no rows")
+    for trial, points in found.items():
+        missing = sorted(set(range(cubes)) - set(points))
+        if missing:
+            last = max(row for (name, _), row in first_row.items() if name == trial)
+            raise UsageError(
+                f"trial {trial} (last in row {last}), column cube: {len(points)} of {cubes} cubes; "
+                f"missing: {', '.join(map(str, missing))}"
+            )
+    positions = np.array([[points[c] for c in range(cubes)] for points in found.values()])
+    return Trials(tuple(found), positions, components)
+
+
+def _components(columns: list[str]) -> tuple[str, ...]:
+    for name in COLUMNS:
+        if name not in columns:
+            raise UsageError(f"row 1: column {name} is missing; the header is trial,cube,x,y or trial,cube,x,y,z")
+    for name in columns:
+        if name not in (*COLUMNS, HEIGHT):
+            raise UsageError(f"row 1: column '{name}' is not known; the header is trial,cube,x,y or trial,cube,x,y,z")
+        if columns.count(name) > 1:
+            raise UsageError(f"row 1: column {name} appears twice")
+    return ("x", "y", "z") if HEIGHT in columns else ("x", "y")
+
+
+def _cube(cell: str, row: int, cubes: int) -> int:
+    try:
+        cube = int(cell)
+    except ValueError:
+        raise UsageError(f"row {row}, column cube: '{cell}' is not a whole number") from None
+    if not 0 <= cube < cubes:
+        raise UsageError(f"row {row}, column cube: {cube} is not one of the scene's {cubes} cubes, 0 to {cubes - 1}")
+    return cube
+
+
+def _number(cell: str, row: int, column: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        raise UsageError(f"row {row}, column {column}: '{cell}' is not a number") from None
+    if not math.isfinite(value):
+        raise UsageError(f"row {row}, column {column}: {cell.strip()} is not a position")
+    return value

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.scenes.model.controls_file import packed
+from gpusimbench.recorder.scenes.actions import packed
 from gpusimbench.recorder.scenes.model.scene import model_scene
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.action_generator import Controls, JointTargets, Streams

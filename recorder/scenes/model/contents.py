@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from typing import Any
 
-from gpusimbench.recorder.scenes.model.controls_file import controls_from
+from gpusimbench.recorder.scenes.actions import controls_from
 from gpusimbench.schemas.action_generator import Controls, JointTargets
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
