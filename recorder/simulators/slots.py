@@ -7,10 +7,11 @@ as soon as the work before them is done. On the CPU the device's arrays are the 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from queue import SimpleQueue
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.base import Simulator
@@ -19,6 +20,9 @@ from gpusimbench.recorder.simulators.evidence import Evidence
 
 Shapes = Mapping[str, tuple[tuple[int, ...], Any]]
 """Shape and the library's dtype by name; the first dimension is the row."""
+
+Host = Callable[[str], NDArray[Any]]
+"""The steps of a slot's array on the host [step, ...], by name: not a copy."""
 
 
 class Slot(ABC):
@@ -94,18 +98,45 @@ class Slots(ABC):
 class SlotBlock(Captured):
     """Steps in the first rows of a slot, which goes back to its kind when they were read."""
 
-    def __init__(self, slots: Slots, slot: Slot, rows: int) -> None:
+    def __init__(
+        self,
+        slots: Slots,
+        slot: Slot,
+        rows: int,
+        *,
+        split: Callable[[Host, slice], States],
+        told: Callable[[Host], Evidence | None],
+        held: str = "",
+    ) -> None:
+        """split  makes states of the slot's arrays, for a range of environments
+        told   makes evidence of them
+        held   name of the array of actions that the engine held, where the slot has it
+        """
         self._slots = slots
         self._slot = slot
         self._rows = rows
+        self._split = split
+        self._told = told
+        self._held = held
 
-    def host(self, name: str) -> NDArray[Any]:
-        """The steps of an array on the host: not a copy."""
+    def _host(self, name: str) -> NDArray[Any]:
         return self._slot.host(name, self._rows)
 
     def wait(self) -> None:
         """See Captured.wait."""
         self._slot.wait()
+
+    def states(self, envs: slice) -> States:
+        """See Captured.states."""
+        return self._split(self._host, envs)
+
+    def actions(self, envs: slice) -> NDArray[np.float32] | None:
+        """See Captured.actions."""
+        return self._host(self._held)[:, envs] if self._held in self._slot.arrays else None
+
+    def evidence(self) -> Evidence | None:
+        """See Captured.evidence."""
+        return self._told(self._host)
 
     def release(self) -> None:
         """See Captured.release."""

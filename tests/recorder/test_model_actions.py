@@ -181,7 +181,7 @@ def test_on_a_device(each: bool, tmp_path: Path) -> None:
             import warp as wp
 
             from gpusimbench.recorder.simulators.warp import runtime
-            from gpusimbench.recorder.simulators.warp.actions import DeviceActions
+            from gpusimbench.recorder.simulators.warp.runtime import DeviceActions
 
             runtime.start("cpu")
             drawn, ctrl = DeviceActions(actions, 5, usual), wp.zeros((2, 4), dtype=float)

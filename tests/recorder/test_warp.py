@@ -65,7 +65,7 @@ def test_targets_are_drawn_on_the_device(seed: int, step: int, given_to: list[tu
     """Make on the device, bit for bit, the targets that the scene defines, also after the streams were exchanged."""
     import warp as wp
 
-    from gpusimbench.recorder.simulators.warp.actions import DeviceActions
+    from gpusimbench.recorder.simulators.warp.runtime import DeviceActions
 
     actions = franka().actions
     assert actions is not None

@@ -1,19 +1,18 @@
-"""States and counts of steps, kept on the device in rows of tensors."""
+"""States and counts of steps, kept on the device in rows of torch's tensors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.genesis.environments import Environments
 from gpusimbench.recorder.simulators.genesis.watch import COUNTERS, Watch
-from gpusimbench.recorder.simulators.slots import Shapes, Slot, SlotBlock, Slots
+from gpusimbench.recorder.simulators.slots import Host, Shapes, Slot, Slots
 
 _ERRORS = "error_codes"
 """Counts have the names of their counters, states those that environments give them."""
@@ -60,26 +59,61 @@ class Rows:
             tensors[counter.name][row] = counted
         self._watch.tell(tensors[_ERRORS][row])
 
-    def split(self, rows: Callable[[str], NDArray[Any]], envs: slice) -> States:
+    def split(self, rows: Host, envs: slice) -> States:
         """States [row, env of the range, item, width] from rows by name: views where the order is the same."""
         return self._model.split({name: rows(name)[:, envs] for name in self._model.parts()})
 
-    def evidence(self, rows: Callable[[str], NDArray[Any]]) -> Evidence:
+    def evidence(self, rows: Host) -> Evidence:
         """Counts and bits [row, env] from rows by name; the counts are these arrays, not copies."""
         return Evidence({counter.name: rows(counter.name) for counter in COUNTERS}, rows(_ERRORS).astype(np.uint32))
 
 
-class GenesisBlock(SlotBlock):
-    """Steps of Genesis on their way to a recording."""
+class TorchSlot(Slot):
+    """A slot on a torch device."""
 
-    def __init__(self, slots: Slots, slot: Slot, rows: int, kept: Rows) -> None:
-        super().__init__(slots, slot, rows)
-        self._kept = kept
+    def __init__(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any], copying: Any) -> None:
+        """copying  the stream that copies; None on the CPU"""
+        super().__init__(first, arrays, host)
+        self._copying = copying
+        self._copied: Any = None
 
-    def states(self, envs: slice) -> States:
-        """See Captured.states."""
-        return self._kept.split(self.host, envs)
+    def begin_copy(self, rows: int) -> None:
+        """See Slot.begin_copy."""
+        if self._copying is None:
+            return
+        import torch
 
-    def evidence(self) -> Evidence:
-        """See Captured.evidence."""
-        return self._kept.evidence(self.host)
+        self._copying.wait_stream(torch.cuda.current_stream(self._copying.device))
+        with torch.cuda.stream(self._copying):
+            for name, array in self.arrays.items():
+                self._host[name][:rows].copy_(array[:rows], non_blocking=True)
+        # a thread that waits for a blocking event leaves the processor to those that write
+        self._copied = self._copying.record_event(self._copied or torch.cuda.Event(blocking=True))
+
+    def wait(self) -> None:
+        """See Slot.wait."""
+        if self._copied is not None:
+            self._copied.synchronize()
+
+
+class TorchSlots(Slots):
+    """Slots on a torch device."""
+
+    def __init__(self, device: Any, shapes: Shapes) -> None:
+        """device  torch.device
+        shapes  with torch's dtypes
+        """
+        import torch
+
+        on_gpu = device.type == "cuda"
+        self._device = device
+        self._copying = torch.cuda.Stream(device) if on_gpu else None
+        super().__init__(shapes, pinned=on_gpu)
+
+    def _allocated(self, shape: tuple[int, ...], dtype: Any, *, pinned: bool) -> Any:
+        import torch
+
+        return torch.empty(shape, dtype=dtype, device="cpu" if pinned else self._device, pin_memory=pinned)
+
+    def _slot(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> TorchSlot:
+        return TorchSlot(first, arrays, host, self._copying)

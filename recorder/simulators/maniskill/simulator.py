@@ -13,8 +13,8 @@ from gpusimbench.recorder.simulators.sapien.bodies import X_TO_Z, half, limit, m
 from gpusimbench.recorder.simulators.sapien.complaints import Complaints
 from gpusimbench.recorder.simulators.sapien.cpu import CpuWorlds
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
-from gpusimbench.recorder.simulators.sapien.settings import configure
-from gpusimbench.recorder.simulators.sapien.stepper import Made, SapienStepper
+from gpusimbench.recorder.simulators.sapien.settings import check_gpu, configure, enable_gpu, library_path, sha256
+from gpusimbench.recorder.simulators.sapien.simulator import Made, SapienStepper
 from gpusimbench.schemas.errors import UsageError
 
 
@@ -233,7 +233,6 @@ class ManiSkill(SapienStepper):
 
     def _on_gpu(self, frequency: int, complaints: Complaints) -> Made:
         from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds
-        from gpusimbench.recorder.simulators.sapien.settings import check_gpu, enable_gpu, library_path, sha256
         from gpusimbench.recorder.simulators.sapien.sizes import choose_sizes
 
         try:

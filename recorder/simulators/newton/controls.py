@@ -15,7 +15,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
 from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
-from gpusimbench.recorder.simulators.warp.actions import DeviceActions
+from gpusimbench.recorder.simulators.warp.runtime import DeviceActions
 from gpusimbench.schemas.action_generator import Streams
 
 

@@ -36,25 +36,6 @@ from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer
 
-
-class PhysxBlock(SlotBlock):
-    """States of steps in a slot, as what gathers them has stored them."""
-
-    def __init__(self, slots: Slots, slot: Slot, rows: int, source: Any) -> None:
-        """source  the Bodies, Arms or Articulations"""
-        super().__init__(slots, slot, rows)
-        self._source = source
-
-    def states(self, envs: slice) -> States:
-        """See Captured.states."""
-        states: States = self._source.split(self.host("states"), envs)
-        return states
-
-    def evidence(self) -> None:
-        """See Captured.evidence: PhysX tells nothing."""
-        return
-
-
 _BLOCK_ROWS = 50
 _BLOCK_BYTES = 128 << 20
 
@@ -256,7 +237,10 @@ class Physx(Slotted):
             self._advance(1)
             self._source.store_step(slot.arrays["states"], row)
         slot.begin_copy(n_step)
-        return PhysxBlock(slots, slot, n_step, self._source)
+        source = self._source
+        return SlotBlock(
+            slots, slot, n_step, split=lambda host, envs: source.split(host("states"), envs), told=lambda host: None
+        )
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:

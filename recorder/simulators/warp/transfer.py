@@ -1,4 +1,4 @@
-"""Slots of Warp's arrays, and steps of MuJoCo Warp in them."""
+"""Slots of Warp's arrays, and the evidence in MuJoCo Warp's counts."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS, Evidence
-from gpusimbench.recorder.simulators.slots import Shapes, Slot, SlotBlock, Slots
+from gpusimbench.recorder.simulators.slots import Shapes, Slot, Slots
 
 
 class WarpSlot(Slot):
@@ -62,29 +61,6 @@ class WarpSlots(Slots):
 
     def _slot(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> WarpSlot:
         return WarpSlot(first, arrays, host, self._device, self._copying)
-
-
-class WarpBlock(SlotBlock):
-    """Positions, velocities, controls and counts of steps in a slot."""
-
-    def __init__(self, slots: Slots, slot: Slot, rows: int, compiled: Any) -> None:
-        """compiled  recorder.simulators.mujoco.model.MjcfModel, which knows where bodies are in qpos and qvel"""
-        super().__init__(slots, slot, rows)
-        self._compiled = compiled
-
-    def states(self, envs: slice) -> States:
-        """See Captured.states."""
-        qpos, qvel = (self.host(name)[:, envs] for name in ("qpos", "qvel"))
-        states: States = self._compiled.split(qpos, qvel)
-        return states
-
-    def actions(self, envs: slice) -> NDArray[np.float32] | None:
-        """See Captured.actions."""
-        return self.host("ctrl")[:, envs] if "ctrl" in self._slot.arrays else None
-
-    def evidence(self) -> Evidence:
-        """See Captured.evidence."""
-        return evidence_of(self.host("counts"))
 
 
 def evidence_of(counts: NDArray[np.int32]) -> Evidence:
