@@ -33,7 +33,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         from gpusimbench.recorder.plan import check_dt, parse_keep, parse_snapshots, view_of
         from gpusimbench.recorder.run import intervention, start, vary
         from gpusimbench.recorder.scenes.actions import table
-        from gpusimbench.recorder.scenes.model.scene import ModelScene
+        from gpusimbench.recorder.scenes.model import ModelScene
         from gpusimbench.recorder.sets.given import read_given
         from gpusimbench.recorder.trials.tosses import read_tosses
 
@@ -106,7 +106,7 @@ def _scene(arguments: argparse.Namespace) -> tuple[Scene, dict[str, bytes]]:
     # what is simulated, and the files that it consists of, where it is a model of the user's own
     with shielded():
         from gpusimbench.recorder.scenes.actions import packed
-        from gpusimbench.recorder.scenes.model.scene import model_scene
+        from gpusimbench.recorder.scenes.model import model_scene
         from gpusimbench.recorder.scenes.registry import make_scene, scene_names
         from gpusimbench.schemas.model_files import MODEL, pack, scene_name
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import CONTACTS
 from gpusimbench.schemas.arrays import MEDIA_TYPE

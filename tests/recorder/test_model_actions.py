@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gpusimbench import open_recording
 from gpusimbench.recorder.scenes.actions import packed
-from gpusimbench.recorder.scenes.model.scene import model_scene
+from gpusimbench.recorder.scenes.model import model_scene
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.action_generator import Controls, JointTargets, Streams
 from gpusimbench.schemas.errors import ExitCode, UsageError

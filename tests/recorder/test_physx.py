@@ -21,7 +21,7 @@ from gpusimbench.recorder.scenes.base import Body, Box, Material, Plane, Scene, 
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description
-from gpusimbench.recorder.simulators.physx import bodies, grid, libraries, session
+from gpusimbench.recorder.simulators.physx import bodies, libraries, session
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions, apis
 from gpusimbench.recorder.simulators.physx.simulator import Physx
@@ -106,23 +106,23 @@ def test_other_lines() -> None:
 @given(st.integers(1, 400), st.floats(0.1, 100))
 def test_grid(n_env: int, spacing: float) -> None:
     """Origins are apart, fill a square, and those of the first environments are the same for any number."""
-    places = grid.origins(n_env, spacing)
+    places = session.grid_origins(n_env, spacing)
     assert len(set(places)) == len(places) == n_env
-    assert places == grid.origins(n_env + 17, spacing)[:n_env]
+    assert places == session.grid_origins(n_env + 17, spacing)[:n_env]
     side = math.isqrt(n_env - 1)
     assert max(max(x, y) for x, y, _ in places) == spacing * side
-    assert grid.origins(n_env, 0.0) == ()
+    assert session.grid_origins(n_env, 0.0) == ()
 
 
 def test_bodies_that_environments_share() -> None:
     """Planes serve all environments of a grid, all fixed bodies those of one place."""
-    assert grid.shared_bodies(make_scene("free-fall"), 4.0) == ("ground",)
-    assert grid.shared_bodies(make_scene("inclined-collision"), 4.0) == ()
-    assert grid.shared_bodies(make_scene("inclined-collision"), 0.0) == ("board", "slope")
+    assert session.shared_bodies(make_scene("free-fall"), 4.0) == ("ground",)
+    assert session.shared_bodies(make_scene("inclined-collision"), 4.0) == ()
+    assert session.shared_bodies(make_scene("inclined-collision"), 0.0) == ("board", "slope")
     steep = Body(
         "steep", Plane(), Material("wood", 1, 1, 0), (0, 0, 0), orientation=(math.cos(0.1), 0, math.sin(0.1), 0)
     )
-    assert grid.shared_bodies(scene_of(steep), 0.0) == ("steep",)
+    assert session.shared_bodies(scene_of(steep), 0.0) == ("steep",)
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,7 @@ from gpusimbench.recorder.scenes.emit.deviations import (
     other_restitution,
     unlimited_speed,
 )
-from gpusimbench.recorder.scenes.model.contents import choices, solver_options
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene, choices, solver_options
 from gpusimbench.recorder.simulators.genesis.imported import ModelEnvironments
 from gpusimbench.recorder.simulators.genesis.made import UNREAD, touching
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions

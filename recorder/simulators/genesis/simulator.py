@@ -18,7 +18,7 @@ from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.captured import Captured
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -30,7 +30,7 @@ from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 
 if TYPE_CHECKING:
-    from gpusimbench.recorder.simulators.genesis.sizes import Sizes
+    from gpusimbench.recorder.simulators.genesis.environments import Sizes
 
 _SLOT_ROWS = 50
 _SLOT_BYTES = 256 << 20  # the recorder asks for blocks of at most 128 MiB of states; counts come on top
@@ -132,7 +132,7 @@ class Genesis(Slotted):
 
     def _make(self, compiled: Any, options: GenesisOptions) -> Sizes:
         """Build the environments; how much room their contacts have."""
-        from gpusimbench.recorder.simulators.genesis.sizes import choose_sizes
+        from gpusimbench.recorder.simulators.genesis.environments import choose_sizes
 
         sizes = choose_sizes(compiled, dt=self.dt, seed=self.seed, options=options)
         common: dict[str, Any] = {"n_env": self.n_env, "dt": self.dt, "options": options, "sizes": sizes}

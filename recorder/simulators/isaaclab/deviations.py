@@ -11,7 +11,7 @@ from gpusimbench.recorder.scenes.emit.deviations import (
     other_restitution,
     rest_offset,
 )
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.isaaclab.scene import BODY_LIMITS
 from gpusimbench.recorder.simulators.physx.deviations import patch_friction

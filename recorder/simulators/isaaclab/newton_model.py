@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.emit.usd import Apis, literal
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.newton.imported import Imported as Places
 from gpusimbench.recorder.simulators.newton.made import (
     Quantities,

@@ -19,7 +19,7 @@ from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.captured import Captured, States
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -190,7 +190,7 @@ class IsaacLab(Slotted):
 
     def _make_world(self) -> Any:
         from gpusimbench.recorder.simulators.isaaclab.articulations import ModelWorld
-        from gpusimbench.recorder.simulators.isaaclab.bodies import BodyWorld
+        from gpusimbench.recorder.simulators.isaaclab.world import BodyWorld
 
         common: dict[str, Any] = {
             "n_env": self.n_env, "dt": self.dt, "options": self.options, "device": str(self._device)

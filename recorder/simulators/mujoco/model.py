@@ -12,8 +12,16 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.mjcf import deviations, emit_mjcf
-from gpusimbench.recorder.scenes.model.contents import choices, keyframe_of, moving
-from gpusimbench.recorder.scenes.model.scene import BALLS, BODIES, JOINTS, ModelScene, compiled
+from gpusimbench.recorder.scenes.model import (
+    BALLS,
+    BODIES,
+    JOINTS,
+    ModelScene,
+    choices,
+    compiled,
+    keyframe_of,
+    moving,
+)
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.mujoco.geometry import geometry_of

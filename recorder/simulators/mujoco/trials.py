@@ -18,7 +18,7 @@ from mujoco import mjtJoint
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Simulator, States
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene

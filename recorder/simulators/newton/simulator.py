@@ -21,7 +21,7 @@ from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.captured import Captured
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -160,8 +160,7 @@ class Newton(Slotted):
         return (*(() if self.options.solver == "mujoco" else known), *own)
 
     def _make_worlds(self, n_env: int) -> Any:
-        from gpusimbench.recorder.simulators.newton.controls import ModelControls
-        from gpusimbench.recorder.simulators.newton.worlds import Worlds
+        from gpusimbench.recorder.simulators.newton.worlds import ModelControls, Worlds
 
         with self._refusals():
             worlds = Worlds(

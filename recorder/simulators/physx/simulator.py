@@ -22,10 +22,9 @@ from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.captured import Captured, States
-from gpusimbench.recorder.simulators.physx import grid
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS, OF_THE_GPU, PhysxOptions, apis, broad_phase
 from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots, Slotted
@@ -80,10 +79,10 @@ class Physx(Slotted):
         import warp as wp
 
         from gpusimbench.recorder.simulators.physx import arms, bodies, libraries
-        from gpusimbench.recorder.simulators.physx.session import Session
+        from gpusimbench.recorder.simulators.physx.session import Session, grid_origins, shared_bodies
         from gpusimbench.recorder.simulators.physx.sizes import choose_buffers
 
-        origins = grid.origins(self.n_env, options.spacing)
+        origins = grid_origins(self.n_env, options.spacing)
         buffers: tuple[Buffer, ...] = ()
         capacities: dict[str, int] = {}
         if gpu:
@@ -99,7 +98,7 @@ class Physx(Slotted):
             self._model = Model(self.scene, dt=self.dt)
             usd = self._model.usd(settings, spacing=options.spacing)
         else:
-            usd = emit_usd(self.scene, apis=settings, shared=grid.shared_bodies(self.scene, options.spacing))
+            usd = emit_usd(self.scene, apis=settings, shared=shared_bodies(self.scene, options.spacing))
         threads = options.threads or len(os.sched_getaffinity(0))
         libraries.load()
         session = self._session = Session(gpu=gpu, threads=threads)
