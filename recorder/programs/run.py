@@ -111,7 +111,7 @@ def run_program(
 ) -> ProgramRun:
     """Run a program to its end; what it started ends with it, and so do all other processes of this one.
 
-    On Linux, what made a session of its own ends, too, where this process has adopted it (descendants.adopt).
+    On Linux, what made a session of its own ends, too, where this process has adopted it (adopt).
 
     command     the program and its arguments
     folder      of the run; the environment variable VARIABLE names it to the program

@@ -288,7 +288,7 @@ def controls_of(model: Any, actions: str, keyframe: Any, file: bytes | None) -> 
 
     actions   as of ACTIONS; empty: random, if the model has actuators
     keyframe  a view of a keyframe, or None
-    file      what `controls_file.packed` made of the file, where actions are from one
+    file      what `scenes.actions.packed` made of the file, where actions are from one
 
     Random controls are uniform within the control range of each actuator, or within +-1 where it has none. UsageError
     where that cannot be.
