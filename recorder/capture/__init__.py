@@ -10,5 +10,5 @@ The capture phase (recorder.run.capture_phase) puts these together; a module use
     actions, evidence, flight, view, array_hashes, samples
                   a writer for each other thing that a recording holds
     workers       threads that share the work on a block
-    sink          the one file that all of them write to; writeback is its way to the disk
+    sink          the one file that all of them write to, and its way to the disk
 """

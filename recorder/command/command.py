@@ -32,9 +32,9 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, parse_keep, parse_snapshots, view_of
         from gpusimbench.recorder.run import intervention, start, vary
+        from gpusimbench.recorder.run.start import read_given
         from gpusimbench.recorder.scenes.actions import table
         from gpusimbench.recorder.scenes.model import ModelScene
-        from gpusimbench.recorder.sets.given import read_given
         from gpusimbench.recorder.trials.tosses import read_tosses
 
     scene, inputs = _scene(arguments)
