@@ -14,8 +14,7 @@ from gpusimbench.recorder.scenes.emit.deviations import (
     LARGER,
     combination,
     materials_and_robot,
-    one_friction,
-    other_restitution,
+    springs,
     unlimited_speed,
 )
 from gpusimbench.recorder.scenes.model import ModelScene, choices, solver_options
@@ -35,16 +34,13 @@ def deviations(scene: Scene, options: GenesisOptions) -> tuple[Deviation, ...]:
     if isinstance(scene, ModelScene):
         return ()  # its contacts are compared with MuJoCo's, whose rule for a pair is the same
     found = [combination("friction", LARGER, "Genesis' rule for a pair of geoms")]
-    for material in materials_and_robot(scene):
-        found += [
-            one_friction(material, "Genesis has one friction coefficient a geom; the kinetic one is used"),
-            other_restitution(
-                material,
-                "0 (critically damped contacts)",
-                "Genesis' rigid contacts have no coefficient of restitution: they are damped springs of the time "
-                "constant constraint_timeconst",
-            ),
-        ]
+    found += springs(
+        materials_and_robot(scene),
+        "Genesis has one friction coefficient a geom; the kinetic one is used",
+        "0 (critically damped contacts)",
+        "Genesis' rigid contacts have no coefficient of restitution: they are damped springs of the time constant "
+        "constraint_timeconst",
+    )
     if scene.robot is not None:
         found.append(unlimited_speed(scene.robot, "Genesis' joints have no velocity limit"))
         if options.integrator != "Euler":
