@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Any
 
@@ -25,35 +26,24 @@ Host = Callable[[str], NDArray[Any]]
 """The steps of a slot's array on the host [step, ...], by name: not a copy."""
 
 
-class Slot(ABC):
+@dataclass(eq=False)
+class Slot:
     """Arrays [row, ...] by name, on the device and on the host.
 
     first   number of its first row among those of all slots
     arrays  on the device
+    host    the copies; the same arrays on the CPU
+    copied  the event behind the last copy; None where there was none
     """
 
-    def __init__(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> None:
-        """host  the copies; the same arrays on the CPU"""
-        self.first = first
-        self.arrays = arrays
-        self._host = host
-
-    @abstractmethod
-    def begin_copy(self, rows: int) -> None:
-        """Enqueue the copy of the first rows behind what the device has been given to do."""
-
-    @abstractmethod
-    def wait(self) -> None:
-        """Return when the copy is there."""
-
-    def host(self, name: str, rows: int) -> NDArray[Any]:
-        """The first rows of an array on the host: not a copy."""
-        array: NDArray[Any] = self._host[name].numpy()[:rows]
-        return array
+    first: int
+    arrays: Mapping[str, Any]
+    host: Mapping[str, Any]
+    copied: Any = None
 
 
 class Slots(ABC):
-    """A few slots alike. The thread that steps takes one; any thread gives it back.
+    """A few slots alike, of one library's arrays. The thread that steps takes a slot; any thread gives it back.
 
     rows    of a slot
     all     the slots
@@ -64,6 +54,7 @@ class Slots(ABC):
         """shapes  of a slot's arrays
         pinned  whether the host has copies; False on the CPU
         """
+        self._pinned = pinned
         rows = self.rows = next(iter(shapes.values()))[0][0]
         whole = {name: ((RING_BLOCKS * rows, *shape[1:]), dtype) for name, (shape, dtype) in shapes.items()}
         self.arrays = {name: self._allocated(*made, pinned=False) for name, made in whole.items()}
@@ -71,7 +62,7 @@ class Slots(ABC):
 
         def slot_at(first: int) -> Slot:
             parts = ({name: a[first : first + rows] for name, a in arrays.items()} for arrays in (self.arrays, host))
-            return self._slot(first, *parts)
+            return Slot(first, *parts)
 
         self.all = tuple(slot_at(number * rows) for number in range(RING_BLOCKS))
         self._free: SimpleQueue[Slot] = SimpleQueue()
@@ -83,8 +74,22 @@ class Slots(ABC):
         """An array on the device, or in pinned memory of the host."""
 
     @abstractmethod
-    def _slot(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> Slot:
-        """A slot of these arrays."""
+    def _copy(self, slot: Slot, rows: int) -> Any:
+        """Enqueue the copy of the first rows, on a stream of its own; returns the event behind it."""
+
+    @abstractmethod
+    def _wait_for(self, event: Any) -> None:
+        """Return when an event has happened."""
+
+    def begin_copy(self, slot: Slot, rows: int) -> None:
+        """Enqueue the copy of the first rows of a slot behind what the device has been given to do."""
+        if self._pinned:
+            slot.copied = self._copy(slot, rows)
+
+    def wait(self, slot: Slot) -> None:
+        """Return when the last copy of a slot is there."""
+        if slot.copied is not None:
+            self._wait_for(slot.copied)
 
     def take(self) -> Slot:
         """A slot that nobody uses; at most RING_BLOCKS may be taken."""
@@ -120,11 +125,12 @@ class SlotBlock(Captured):
         self._held = held
 
     def _host(self, name: str) -> NDArray[Any]:
-        return self._slot.host(name, self._rows)
+        array: NDArray[Any] = self._slot.host[name].numpy()[: self._rows]
+        return array
 
     def wait(self) -> None:
         """See Captured.wait."""
-        self._slot.wait()
+        self._slots.wait(self._slot)
 
     def states(self, envs: slice) -> States:
         """See Captured.states."""

@@ -68,34 +68,6 @@ class Rows:
         return Evidence({counter.name: rows(counter.name) for counter in COUNTERS}, rows(_ERRORS).astype(np.uint32))
 
 
-class TorchSlot(Slot):
-    """A slot on a torch device."""
-
-    def __init__(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any], copying: Any) -> None:
-        """copying  the stream that copies; None on the CPU"""
-        super().__init__(first, arrays, host)
-        self._copying = copying
-        self._copied: Any = None
-
-    def begin_copy(self, rows: int) -> None:
-        """See Slot.begin_copy."""
-        if self._copying is None:
-            return
-        import torch
-
-        self._copying.wait_stream(torch.cuda.current_stream(self._copying.device))
-        with torch.cuda.stream(self._copying):
-            for name, array in self.arrays.items():
-                self._host[name][:rows].copy_(array[:rows], non_blocking=True)
-        # a thread that waits for a blocking event leaves the processor to those that write
-        self._copied = self._copying.record_event(self._copied or torch.cuda.Event(blocking=True))
-
-    def wait(self) -> None:
-        """See Slot.wait."""
-        if self._copied is not None:
-            self._copied.synchronize()
-
-
 class TorchSlots(Slots):
     """Slots on a torch device."""
 
@@ -107,7 +79,7 @@ class TorchSlots(Slots):
 
         on_gpu = device.type == "cuda"
         self._device = device
-        self._copying = torch.cuda.Stream(device) if on_gpu else None
+        self._copying: Any = torch.cuda.Stream(device) if on_gpu else None
         super().__init__(shapes, pinned=on_gpu)
 
     def _allocated(self, shape: tuple[int, ...], dtype: Any, *, pinned: bool) -> Any:
@@ -115,5 +87,15 @@ class TorchSlots(Slots):
 
         return torch.empty(shape, dtype=dtype, device="cpu" if pinned else self._device, pin_memory=pinned)
 
-    def _slot(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> TorchSlot:
-        return TorchSlot(first, arrays, host, self._copying)
+    def _copy(self, slot: Slot, rows: int) -> Any:
+        import torch
+
+        self._copying.wait_stream(torch.cuda.current_stream(self._copying.device))
+        with torch.cuda.stream(self._copying):
+            for name, array in slot.arrays.items():
+                slot.host[name][:rows].copy_(array[:rows], non_blocking=True)
+        # a thread that waits for a blocking event leaves the processor to those that write
+        return self._copying.record_event(slot.copied or torch.cuda.Event(blocking=True))
+
+    def _wait_for(self, event: Any) -> None:
+        event.synchronize()

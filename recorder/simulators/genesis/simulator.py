@@ -273,7 +273,7 @@ class Genesis(Slotted):
             self._advance()
             self._rows.store_state(slot.arrays, row)
             self._rows.store_evidence(slot.arrays, row)
-        slot.begin_copy(n_step)
+        slots.begin_copy(slot, n_step)
         return SlotBlock(slots, slot, n_step, split=self._rows.split, told=self._rows.evidence)
 
     @classmethod

@@ -299,7 +299,7 @@ class IsaacLab(Slotted):
                 rows[row].copy_(array)
             self._physics.store()
         self._wait()  # torch's copies, which have a stream of their own, too
-        slot.begin_copy(n_step)
+        slots.begin_copy(slot, n_step)
         self._made += n_step
         self._counted, self._stepped = self._physics.evidence(n_step), False
         world, counted = self._world, self._counted

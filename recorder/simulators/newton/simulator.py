@@ -343,7 +343,7 @@ class Newton(Slotted):
         self._made += n_step
         self._counted = None
         self._storing.enqueue(n_step)
-        slot.begin_copy(n_step)
+        slots.begin_copy(slot, n_step)
         layout, counters = self._world.layout, self._watch.counters
         return SlotBlock(
             slots, slot, n_step,

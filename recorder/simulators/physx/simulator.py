@@ -235,7 +235,7 @@ class Physx(Slotted):
         for row in range(n_step):
             self._advance(1)
             self._source.store_step(slot.arrays["states"], row)
-        slot.begin_copy(n_step)
+        slots.begin_copy(slot, n_step)
         source = self._source
         return SlotBlock(
             slots, slot, n_step, split=lambda host, envs: source.split(host("states"), envs), told=lambda host: None

@@ -319,7 +319,7 @@ class MujocoWarp(Slotted):
         self._row.zero_()
         for _ in range(n_step):
             one()
-        slot.begin_copy(n_step)
+        slots.begin_copy(slot, n_step)
         compiled = self._compiled
         return SlotBlock(
             slots, slot, n_step,
