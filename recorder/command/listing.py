@@ -20,6 +20,15 @@ from gpusimbench.schemas.provenance import REAL
 
 Json = dict[str, Any]
 
+_WIDTH = 118
+_OPERATIONS = {
+    "snapshot": "save and restore the complete state",
+    "some": "restore some environments only",
+    "reset": "reset some environments only",
+    "set_state": "set positions and velocities",
+}
+"""Those of StateClaims, in words."""
+
 
 def list_all() -> Json:
     """Everything, as --json prints it."""
@@ -182,18 +191,6 @@ def _in_short(about: Json, scenes: int) -> list[str]:
     told = [f"{what}: {said}" for what, said in (("devices", ", ".join(about["devices"])), ("scenes", able)) if said]
     levels = [f"determinism levels: {', '.join(about['determinism'])}"] if len(about["determinism"]) > 1 else []
     return [*_where(about), *(["; ".join(told)] if told else []), *levels]
-
-
-_WIDTH = 118
-
-
-_OPERATIONS = {
-    "snapshot": "save and restore the complete state",
-    "some": "restore some environments only",
-    "reset": "reset some environments only",
-    "set_state": "set positions and velocities",
-}
-"""Those of StateClaims, in words."""
 
 
 def list_one(name: str) -> Json:

@@ -15,6 +15,12 @@ from gpusimbench.schemas.writing import write_file
 
 FOLDER = Path(__file__).parent / "requirements"
 
+_TORCH = ("torch==2.13.0",)
+FOLDER_VARIABLE = "GSB_ENVIRONMENTS"
+"""Environment variable that says where they lie."""
+
+MANIFEST = "gsb-environment.json"  # written last: an environment without it was never finished
+
 
 @dataclass(frozen=True)
 class Specification:
@@ -41,8 +47,6 @@ class Specification:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-_TORCH = ("torch==2.13.0",)
-
 SPECIFICATIONS = {
     specification.simulator: specification
     for specification in (
@@ -65,12 +69,6 @@ def specification_of(simulator: str) -> Specification:
             f"{did_you_mean(simulator, SPECIFICATIONS)}"
         )
     return SPECIFICATIONS[simulator]
-
-
-FOLDER_VARIABLE = "GSB_ENVIRONMENTS"
-"""Environment variable that says where they lie."""
-
-MANIFEST = "gsb-environment.json"  # written last: an environment without it was never finished
 
 
 @dataclass(frozen=True)

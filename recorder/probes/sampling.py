@@ -18,6 +18,15 @@ from gpusimbench.schemas.messages import enum_values
 
 _R = TypeVar("_R")
 
+MEMORY_INTERVAL_S = 0.01
+
+BASELINE = "baseline"
+"""The phase in which nothing of the engine exists."""
+
+HARDWARE_INTERVAL_S = 0.2
+_KHZ = 1e-3  # MHz
+_TICKS = os.sysconf("SC_CLK_TCK")
+
 
 class Reading(NamedTuple):
     """One reading for a recording: its topic, and the fields of its message by name; None where nothing told."""
@@ -83,12 +92,6 @@ class Sampler(ABC, Generic[_R]):
         except Exception as error:  # whatever a driver raises: the thread must go on
             self.failures += 1
             self.last_failure = f"{source}: {type(error).__name__}: {' '.join(str(error).split())}"
-
-
-MEMORY_INTERVAL_S = 0.01
-
-BASELINE = "baseline"
-"""The phase in which nothing of the engine exists."""
 
 
 class MemorySampler(Sampler[Reading]):
@@ -168,11 +171,6 @@ class MemorySampler(Sampler[Reading]):
             "used_bytes": used, "total_bytes": total, "phase": self.phase, "checkpoint": checkpoint, **others,
         }  # fmt: skip
         self._readings.append(Reading(topic, fields))
-
-
-HARDWARE_INTERVAL_S = 0.2
-_KHZ = 1e-3  # MHz
-_TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class Cpus:

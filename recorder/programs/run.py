@@ -27,6 +27,15 @@ from gpusimbench.schemas.writing import create
 _INTERVAL_S = 0.1
 HOST = "host"
 
+GRACE_S = 10.0
+"""How long a program whose time is over may take to end its recordings, before it is killed [s]."""
+
+OUTPUT = "output.txt"
+"""In the folder of a run: what the program prints."""
+
+_PATIENCE_S = 5.0  # for processes that the kernel does not let end, such as those that wait for a disk
+_SET_CHILD_SUBREAPER = 36  # prctl(2)
+
 
 class ProgramMemory(Sampler[int]):
     """Reads 10 times a second the resident memory of a process and its descendants, and what each GPU has in use.
@@ -62,13 +71,6 @@ class ProgramMemory(Sampler[int]):
 
     def _note(self, source: str, used: int) -> None:
         self.peaks[source] = max(used, self.peaks.get(source, 0))
-
-
-GRACE_S = 10.0
-"""How long a program whose time is over may take to end its recordings, before it is killed [s]."""
-
-OUTPUT = "output.txt"
-"""In the folder of a run: what the program prints."""
 
 
 @dataclass(frozen=True)
@@ -196,10 +198,6 @@ def _end(returncode: int, late: bool, interrupted: bool, time_limit: float, fold
 
 def _found(folder: Path, ending: str) -> tuple[str, ...]:
     return tuple(sorted(str(path) for path in folder.rglob(f"*{ending}") if path.is_file()))
-
-
-_PATIENCE_S = 5.0  # for processes that the kernel does not let end, such as those that wait for a disk
-_SET_CHILD_SUBREAPER = 36  # prctl(2)
 
 
 def adopt() -> bool:

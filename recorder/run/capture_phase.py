@@ -31,6 +31,8 @@ from gpusimbench.schemas.errors import DamagedRecording, DataLost
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.treatment import Intervention, snapshot_name
 
+_USABLE = 0.8  # of what the system says is available
+
 
 class _Blocks:
     """Writes blocks of captured steps: states, the actions that led to them, and what the engine counted.
@@ -214,9 +216,6 @@ class CapturePhase:
         self._journal.timing("capture", clock.blocks, first, rows, covers)
         self._journal.timing("stall", clock.stalls, first, rows, "the engine stands still until a block was written")
         self._journal.timing("drain", clock.drain, c.steps, 1, "from the last state on the host to that in the file")
-
-
-_USABLE = 0.8  # of what the system says is available
 
 
 class StatesInMemory:

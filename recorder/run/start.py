@@ -32,6 +32,12 @@ ITEMS = "items"
 
 Arrays = Mapping[str, NDArray[Any]]
 
+_STREAM = 0x494E4954  # tells these words from those of actions, which the same seed draws
+_TURNS = 0x5455524E  # the same of the words of orientations
+_TRIES = 32  # pairs, of which 1 in 4.7 lies outside the circle
+_ARCHIVE = b"PK"  # a zip file's first bytes
+_FORMS = "a recording, FILE.mcap or FILE.mcap@STEP, or arrays by GROUP/FIELD, FILE.npz"
+
 
 def begin(simulator: Simulator, description: Description, text: str, given: bytes | None) -> None:
     """Give a simulator that was just built the state that a run was asked to begin with.
@@ -125,11 +131,6 @@ def refusal(name: str, adapter: type[Simulator], options: object, text: str, sna
         asked = "--from" if continues else "--snapshot"
         return f"simulator '{name}' cannot save and restore its state ({asked}): {claims.snapshot.why}"
     return ""
-
-
-_STREAM = 0x494E4954  # tells these words from those of actions, which the same seed draws
-_TURNS = 0x5455524E  # the same of the words of orientations
-_TRIES = 32  # pairs, of which 1 in 4.7 lies outside the circle
 
 
 def drawn_states(
@@ -231,10 +232,6 @@ def parse(text: str, n_env: int) -> str:
             f"not '{text}'"
         ) from None
     return str(drawn)
-
-
-_ARCHIVE = b"PK"  # a zip file's first bytes
-_FORMS = "a recording, FILE.mcap or FILE.mcap@STEP, or arrays by GROUP/FIELD, FILE.npz"
 
 
 def read_given(text: str, n_env: int) -> tuple[str, bytes]:

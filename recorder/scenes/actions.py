@@ -18,6 +18,12 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.treatment import CONTROLS, FromFile
 
+_NUMBERS, _NAMES = "controls", "actuators"
+_FORM = (
+    "an archive (numpy.savez) with one array of numbers, controls [step, actuator], or [step, env, actuator], and, if "
+    "you like, actuators, the names of its columns"
+)
+
 
 @dataclass(frozen=True)
 class GivenControls(JointTargets):
@@ -69,13 +75,6 @@ def refusal(actions: JointTargets, run: RunConfiguration) -> str:
     if "capture" in run.phases and run.steps > steps:
         return f"the file of actions has controls of {steps} steps, fewer than --steps, {run.steps}"
     return ""
-
-
-_NUMBERS, _NAMES = "controls", "actuators"
-_FORM = (
-    "an archive (numpy.savez) with one array of numbers, controls [step, actuator], or [step, env, actuator], and, if "
-    "you like, actuators, the names of its columns"
-)
 
 
 def packed(path: str) -> tuple[str, bytes]:

@@ -41,6 +41,15 @@ from gpusimbench.schemas.trial_units import METRES, extent_of, unit_doubt
 _GROUP = "cubes"
 _SAMPLE_TIME = 5.0
 
+COLUMNS = ("trial", "cube", "x", "y")
+HEIGHT = "z"
+UNITS = {unit: METRES[unit] for unit in ("m", "cm")}
+_BLOCK = 50  # rows of a message, the most that the format allows
+_NOTES = {
+    "linear_velocity": "as measured: the mean over the interval before the row, smoothed by its authors",
+    "angular_velocity": "measured in the body's frame",
+}
+
 
 def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> Path:
     """Write one recording from a CSV file, or of tosses; returns its path. Nothing is written unless every row is
@@ -105,11 +114,6 @@ def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> Path:
         sink.finish("COMPLETE", "", last_step=1, peak_rss_bytes=0)
     say(f"{len(trials.names)} trials of {len(cubes)} cubes")
     return sink.path
-
-
-COLUMNS = ("trial", "cube", "x", "y")
-HEIGHT = "z"
-UNITS = {unit: METRES[unit] for unit in ("m", "cm")}
 
 
 @dataclass(frozen=True)
@@ -205,13 +209,6 @@ def _number(cell: str, row: int, column: str) -> float:
     if not math.isfinite(value):
         raise UsageError(f"row {row}, column {column}: {cell.strip()} is not a position")
     return value
-
-
-_BLOCK = 50  # rows of a message, the most that the format allows
-_NOTES = {
-    "linear_velocity": "as measured: the mean over the interval before the row, smoothed by its authors",
-    "angular_velocity": "measured in the body's frame",
-}
 
 
 def record_tosses(arguments: argparse.Namespace, argv: tuple[str, ...], scene: Scene) -> Path:

@@ -29,6 +29,26 @@ _FLAGS = ("terminated", "truncated")
 
 Row = dict[str, NDArray[Any]]
 
+OF_MUJOCO = ("qpos", "qvel")
+_DRAWN = (
+    "body_parentid",
+    "body_pos",
+    "body_quat",
+    "jnt_type",
+    "jnt_bodyid",
+    "jnt_pos",
+    "jnt_axis",
+    "qpos0",
+    "geom_type",
+    "geom_bodyid",
+    "geom_dataid",
+    "geom_pos",
+    "geom_quat",
+    "geom_size",
+    "mesh_vert",
+)
+"""Arrays of a model by which one that is drawn is told from another."""
+
 
 class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
     """See gpusimbench.wrap, which makes it.
@@ -243,27 +263,6 @@ def _name(envs: Any) -> str:
     whole = envs.unwrapped
     told = getattr(getattr(envs, "spec", None), "id", "")
     return told or type(next(iter(getattr(whole, "envs", ())), whole).unwrapped).__name__
-
-
-OF_MUJOCO = ("qpos", "qvel")
-_DRAWN = (
-    "body_parentid",
-    "body_pos",
-    "body_quat",
-    "jnt_type",
-    "jnt_bodyid",
-    "jnt_pos",
-    "jnt_axis",
-    "qpos0",
-    "geom_type",
-    "geom_bodyid",
-    "geom_dataid",
-    "geom_pos",
-    "geom_quat",
-    "geom_size",
-    "mesh_vert",
-)
-"""Arrays of a model by which one that is drawn is told from another."""
 
 
 class Physics:

@@ -20,6 +20,38 @@ from gpusimbench.schemas.fields import DTYPES, FIELD_KINDS
 _JOINT_FIELDS = ("qpos", "qvel")
 _PER = ("env", "all")
 
+_DEVICE_LIBRARIES = ("cupy", "genesis", "jax", "jaxlib", "mujoco", "newton", "sapien", "taichi", "torch", "warp")
+"""Import names of libraries that engines compute with; whatever the registry says of an adapter is added."""
+
+_LIGHT = ("psutil",)  # required by all adapters, harmless to import
+_CODE = """
+import json, sys
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+
+engines, asked = set(sys.argv[2:]), []
+
+class Absent(MetaPathFinder, Loader):
+    def find_spec(self, name, path=None, target=None):
+        return ModuleSpec(name, self) if name.partition(".")[0] in engines else None
+
+    def create_module(self, spec):
+        asked.append(spec.name)
+        raise ImportError(f"{spec.name} is not there")
+
+    def exec_module(self, module):
+        raise NotImplementedError
+
+sys.meta_path.insert(0, Absent())
+problem = ""
+try:
+    import_module(sys.argv[1])
+except BaseException as error:
+    problem = f"{type(error).__name__}: {error}"
+print(json.dumps([asked, problem]))
+"""
+
 
 def class_keeps_the_contract(subject: Subject) -> None:
     """Options is a frozen dataclass whose fields all have defaults; levels, interval and environment are as asked."""
@@ -134,40 +166,6 @@ def buffers_are_measured(subject: Subject) -> None:
         expect(bool(buffer.sized_by), f"buffer {buffer.name} does not say how its size came about (sized_by)")
         known = not buffer.counter or buffer.counter in counters
         expect(known, f"buffer {buffer.name}: there is no counter '{buffer.counter}', only {sorted(counters)}")
-
-
-_DEVICE_LIBRARIES = ("cupy", "genesis", "jax", "jaxlib", "mujoco", "newton", "sapien", "taichi", "torch", "warp")
-"""Import names of libraries that engines compute with; whatever the registry says of an adapter is added."""
-
-_LIGHT = ("psutil",)  # required by all adapters, harmless to import
-
-_CODE = """
-import json, sys
-from importlib import import_module
-from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec
-
-engines, asked = set(sys.argv[2:]), []
-
-class Absent(MetaPathFinder, Loader):
-    def find_spec(self, name, path=None, target=None):
-        return ModuleSpec(name, self) if name.partition(".")[0] in engines else None
-
-    def create_module(self, spec):
-        asked.append(spec.name)
-        raise ImportError(f"{spec.name} is not there")
-
-    def exec_module(self, module):
-        raise NotImplementedError
-
-sys.meta_path.insert(0, Absent())
-problem = ""
-try:
-    import_module(sys.argv[1])
-except BaseException as error:
-    problem = f"{type(error).__name__}: {error}"
-print(json.dumps([asked, problem]))
-"""
 
 
 def importing_needs_no_engine(subject: Subject) -> None:

@@ -32,6 +32,16 @@ if TYPE_CHECKING:  # it imports MuJoCo
 
 SOLVERS = ("positional", "spring", "generalized")
 
+_STATIC = {
+    "positional": (
+        "1",
+        "a contact holds while its tangential correction is smaller than its normal one, whatever the material; "
+        "sliding has the kinetic coefficient",
+    ),
+    "spring": ("none", "tangential speeds above 1 mm/s are opposed with the kinetic coefficient; nothing sticks"),
+    "generalized": ("the kinetic coefficient", "there is one friction coefficient"),
+}
+
 
 @dataclass(frozen=True)
 class BraxOptions(JaxOptions):
@@ -63,17 +73,6 @@ class BraxOptions(JaxOptions):
         require(self, (lambda v: 0 < v <= 1, "a number above 0, at most 1"), "collide_scale", "baumgarte_erp")
         require(self, AT_LEAST_1, "solver_iterations", "solver_maxls")
         require(self, MEASURED, "max_geom_pairs", "max_contact_points")
-
-
-_STATIC = {
-    "positional": (
-        "1",
-        "a contact holds while its tangential correction is smaller than its normal one, whatever the material; "
-        "sliding has the kinetic coefficient",
-    ),
-    "spring": ("none", "tangential speeds above 1 mm/s are opposed with the kinetic coefficient; nothing sticks"),
-    "generalized": ("the kinetic coefficient", "there is one friction coefficient"),
-}
 
 
 def deviations(scene: Scene, options: BraxOptions) -> tuple[Deviation, ...]:

@@ -18,6 +18,8 @@ from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.fields import StateField
 
+_MARGIN = 2.0  # over MuJoCo's contact points: Genesis has most while bodies that just touch settle into each other
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -148,9 +150,6 @@ def _rigid_options(genesis: Any, options: GenesisOptions, sizes: Sizes) -> dict[
     if options.broadphase != "auto":
         chosen["broadphase_traversal"] = genesis.broadphase_traversal[options.broadphase]
     return chosen
-
-
-_MARGIN = 2.0  # over MuJoCo's contact points: Genesis has most while bodies that just touch settle into each other
 
 
 @dataclass(frozen=True)

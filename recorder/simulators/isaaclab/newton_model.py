@@ -35,6 +35,15 @@ from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.text import few
 
+_NAMED = 4  # in a deviation
+_REASON = "so Isaac Lab, Newton's importer and SolverMuJoCo make it"
+_COMPARED = "not read by name; what differs is among the deviations of a recording, and the kinematics compare frames"
+
+_LAST = {int(mujoco.mjtJoint.mjJNT_FREE): 5, int(mujoco.mjtJoint.mjJNT_BALL): 2}
+"""Of degrees of freedom of a joint, the last; 0 of others."""
+
+_LIMITS = {"solref": "joints.limit_solref", "solimp": "joints.limit_solimp", "margin": "joints.margin"}
+
 
 class MuJoCoWords:
     """The attributes (mjc:) of the joints, geoms and bodies of a mujoco.MjModel."""
@@ -85,11 +94,6 @@ def _numbers(numbers: dict[str, Any]) -> list[str]:
 
 def _array(name: str, numbers: Iterable[Any]) -> str:
     return f"double[] mjc:{name} = [{', '.join(literal(float(number)) for number in numbers)}]"
-
-
-_NAMED = 4  # in a deviation
-_REASON = "so Isaac Lab, Newton's importer and SolverMuJoCo make it"
-_COMPARED = "not read by name; what differs is among the deviations of a recording, and the kinematics compare frames"
 
 
 class NewtonModel(Model):
@@ -179,12 +183,6 @@ def _ends_with(places: dict[str, int], end: str) -> int:
     if len(found) != 1:
         raise GsbError(f"Newton has {len(found)} of what the stage calls {end}")
     return found[0]
-
-
-_LAST = {int(mujoco.mjtJoint.mjJNT_FREE): 5, int(mujoco.mjtJoint.mjJNT_BALL): 2}
-"""Of degrees of freedom of a joint, the last; 0 of others."""
-
-_LIMITS = {"solref": "joints.limit_solref", "solimp": "joints.limit_solimp", "margin": "joints.margin"}
 
 
 def quantities_of_solver(solver: Any, imported: Places, model: Any) -> Quantities:

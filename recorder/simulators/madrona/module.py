@@ -27,6 +27,17 @@ from gpusimbench.schemas.provenance import Deviation
 VARIABLE = "GSB_MADRONA_MODULE"
 """Environment variable with the module's import name, for when the option `module` is not given."""
 
+CONTRACT = "docs/madrona.md"
+REQUIRED_SETTINGS = ("solver", "num_substeps", "delta_t", "gravity", "restitution", "friction_combination")
+METHODS = (
+    "step", "body_names", "settings", "deviations", "position_tensor", "rotation_tensor", "velocity_tensor",
+)  # fmt: skip
+
+HONOURED = "scene"
+"""What the setting `restitution` says where each contact has the scene's own."""
+
+_FLOAT32 = 1e-6  # relative: a module keeps its numbers in float32
+
 
 @dataclass(frozen=True)
 class MadronaOptions:
@@ -55,18 +66,6 @@ class MadronaOptions:
     def module_name(self) -> str:
         """The module's import name, of the option or else of the environment; empty where neither names one."""
         return self.module or os.environ.get(VARIABLE, "")
-
-
-CONTRACT = "docs/madrona.md"
-REQUIRED_SETTINGS = ("solver", "num_substeps", "delta_t", "gravity", "restitution", "friction_combination")
-METHODS = (
-    "step", "body_names", "settings", "deviations", "position_tensor", "rotation_tensor", "velocity_tensor",
-)  # fmt: skip
-
-HONOURED = "scene"
-"""What the setting `restitution` says where each contact has the scene's own."""
-
-_FLOAT32 = 1e-6  # relative: a module keeps its numbers in float32
 
 
 def breach(module: str, obligation: str, what: str) -> UsageError:

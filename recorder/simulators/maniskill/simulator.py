@@ -17,6 +17,9 @@ from gpusimbench.recorder.simulators.sapien.settings import check_gpu, configure
 from gpusimbench.recorder.simulators.sapien.simulator import Made, SapienStepper
 from gpusimbench.schemas.errors import UsageError
 
+_BACKENDS = {"cpu": "physx_cpu", "cuda": "physx_cuda"}
+_COVERS = "BaseEnv.step without action, observation or reward: one step of PhysX, and ManiSkill's own bookkeeping"
+
 
 @dataclass(frozen=True)
 class ManiSkillOptions(SapienOptions):
@@ -45,9 +48,6 @@ class ManiSkillOptions(SapienOptions):
         if self.device == "auto":
             return "cuda" if n_env > 1 else "cpu"
         return self.device
-
-
-_BACKENDS = {"cpu": "physx_cpu", "cuda": "physx_cuda"}
 
 
 def make_environment(
@@ -168,9 +168,6 @@ def _build(scene: Any, body: Body) -> Any:
         return builder.build_static(body.name)
     builder.set_mass_and_inertia(body.mass, sapien.Pose(), solid_inertia(body.shape, body.mass))
     return builder.build(body.name)
-
-
-_COVERS = "BaseEnv.step without action, observation or reward: one step of PhysX, and ManiSkill's own bookkeeping"
 
 
 class ManiSkill(SapienStepper):

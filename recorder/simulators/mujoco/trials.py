@@ -42,6 +42,13 @@ _FREE_SLIDE_M = 1.0  # an unlimited slide is drawn within that of its reference,
 _TRIES = 200  # draws of a pose without contacts
 _CONTROL = 0.5  # of the upper half of a control's range
 
+AFTER_S = 0.5
+"""How long the drop goes on after the first contact of MuJoCo C [s]."""
+
+_LONGEST_S = 2.0  # that the first contact is waited for
+_MOST_STEPS = 4000
+_BLOCK = 10  # steps that are asked for at once
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -154,14 +161,6 @@ def _lifted(model: Any, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
             found[at + 2] += row
             count += 1
     return found
-
-
-AFTER_S = 0.5
-"""How long the drop goes on after the first contact of MuJoCo C [s]."""
-
-_LONGEST_S = 2.0  # that the first contact is waited for
-_MOST_STEPS = 4000
-_BLOCK = 10  # steps that are asked for at once
 
 
 def dropped(scene: ModelScene, make: Callable[[Scene, int], Simulator], *, dt: float) -> Drop | None:

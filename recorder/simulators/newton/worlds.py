@@ -24,6 +24,9 @@ from gpusimbench.recorder.simulators.warp import worlds
 from gpusimbench.recorder.simulators.warp.runtime import DeviceActions
 from gpusimbench.schemas.action_generator import Streams
 
+_STATE = ("body_q", "body_qd", "joint_q", "joint_qd")
+"""Arrays of a newton.State that a step may read; forces are cleared before it."""
+
 
 class ModelControls:
     """Controls of n_env worlds, on the device.
@@ -76,10 +79,6 @@ class ModelControls:
         if self._driven:
             shape = self._driven[0].shape
             wp.launch(kernels.drive_joints, dim=shape, inputs=[self.ctrl, *self._inputs], outputs=self._driven)
-
-
-_STATE = ("body_q", "body_qd", "joint_q", "joint_qd")
-"""Arrays of a newton.State that a step may read; forces are cleared before it."""
 
 
 class Worlds:

@@ -43,6 +43,9 @@ parameters".
 
 _NUMBER = re.compile(r"\d+")
 
+_ORDINAL = 1  # of the one version of the stage that there is
+_NO_TURN = (0.0, 0.0, 0.0, 1.0)
+
 
 def is_fatal(level: int, text: str) -> bool:
     """Whether a line makes a run worthless: an error of the engine's, or a sign of dropped contacts at any level."""
@@ -101,10 +104,6 @@ class NativeLog(logging.Handler):
         self._logger.removeHandler(self)
         ovphysx.disable_python_logging()
         super().close()
-
-
-_ORDINAL = 1  # of the one version of the stage that there is
-_NO_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
 class Session:
