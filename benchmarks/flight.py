@@ -23,7 +23,7 @@ from benchmarks.machine import machine, spread
 from gpusimbench.recorder.capture.flight import FlightWriter
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.options import parse_options, split_options
-from gpusimbench.recorder.run import initial
+from gpusimbench.recorder.run import start
 from gpusimbench.recorder.run.engine import apply_environment
 from gpusimbench.recorder.run.flight_phase import fly, watch_of
 from gpusimbench.recorder.run.given_actions import prepare
@@ -50,7 +50,7 @@ class Bench:
         first = tuple(np.array(array) for array in self.simulator.state())
         drawn = Initial.parse(c.initial) if c.initial else None
         fields = self.description.fields
-        self._begin = first if drawn is None else initial.states(drawn, scene, fields, first, c.seed)
+        self._begin = first if drawn is None else start.drawn_states(drawn, scene, fields, first, c.seed)
         self.held_bytes = 0
         self.failed = ""
 

@@ -34,7 +34,7 @@ from gpusimbench.evaluator.report.sections.canonical import size
 from gpusimbench.evaluator.results.canonical import Law, laws
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues, PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of
-from gpusimbench.recorder.run import initial
+from gpusimbench.recorder.run import start
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.recorder.simulators.registry import find_simulator
@@ -115,15 +115,15 @@ def record(setting: Setting, changes: Sequence[Change], seed: int, measure: Call
         if built and isinstance(simulator, MujocoC):
             change_model(simulator._compiled.model, changes)
         # a loop begins closed with the lengths that the engine has
-        start = initial.states(Initial(SPREAD[setting.scene]), engines, made.fields, simulator.state(), seed)
-        simulator.set_state(start)
+        begun = start.drawn_states(Initial(SPREAD[setting.scene]), engines, made.fields, simulator.state(), seed)
+        simulator.set_state(begun)
         simulator.compile("capture")
         writer = RecordingWriter(
             path, simulator=setting.simulator, version=made.version, scene=declared, n_env=setting.n_env, dt=setting.dt,
             steps=steps, fields=made.fields, device=made.device, seed=seed, deviations=made.deviations, view=(),
         )  # fmt: skip
         with writer as log:
-            log.append(*start)
+            log.append(*begun)
             for first in range(0, steps, BLOCK):
                 log.append(*simulator.states(min(BLOCK, steps - first)))
         return measure(open_recording(path))

@@ -20,7 +20,7 @@ from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
 from gpusimbench.recorder.probes.gpu import Gpus
-from gpusimbench.recorder.probes.memory import MemorySampler
+from gpusimbench.recorder.probes.sampling import MemorySampler
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW
 from gpusimbench.recorder.simulators.mjx.physics import MjxOptions

@@ -30,7 +30,7 @@ import numpy as np
 from benchmarks.arguments import parser
 from gpusimbench.recorder.environments.choice import interpreter_for
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.scenes.model import ModelScene, model_scene
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.model_files import pack

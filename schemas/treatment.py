@@ -80,7 +80,7 @@ def alike(actions: str) -> bool:
 
 @dataclass(frozen=True)
 class Initial:
-    """Initial states that are drawn for each environment (recorder.run.initial): "random:SPREAD".
+    """Initial states that are drawn for each environment (recorder.run.start): "random:SPREAD".
 
     spread  around the scene's first state [m/s or rad]
     shift   environment e begins as environment e + shift does without it, modulo their number: ",shift:K"

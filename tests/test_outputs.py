@@ -112,7 +112,7 @@ def test_links_are_replaced(runs: Path, tmp_path: Path, name: str) -> None:
 
 def test_a_recording_is_not_written_through_a_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Take another name where a link waits under that of the recording being made."""
-    monkeypatch.setattr("gpusimbench.recorder.trials.reference.utc_now", lambda: "2026-01-01T00:00:00Z")
+    monkeypatch.setattr("gpusimbench.recorder.trials.real.utc_now", lambda: "2026-01-01T00:00:00Z")
     (tmp_path / "trials.csv").write_text("trial,cube,x,y\n" + "".join(f"a,{cube},0.1,0.2\n" for cube in range(27)))
     (tmp_path / "runs").mkdir()
     stem = "real-inclined-collision-n1-r0-20260101T000000Z"

@@ -108,8 +108,7 @@ class Twin(MujocoC):
     copy.edit(
         "recorder/simulators/registry.py",
         "BUILT_IN = (\n",
-        'BUILT_IN = (\n    Entry("twin", "a twin", "gpusimbench.recorder.simulators.twin.simulator:Twin", '
-        'requires=("mujoco",)),\n',
+        'BUILT_IN = (\n    _engine("twin", "a twin", "Twin", "mujoco"),\n',
     )
     wanted = ["--scene", "free-fall", "--n-env", "2", "--runs", "1", "--steps", "20", "--phases", "capture"]
     copy.run("gpusimbench.recorder.cli", "--sim", "twin", *wanted, "--out", "made")

@@ -51,6 +51,9 @@ class Asked(NamedTuple):
     detail: str = ""
 
 
+_NONE_ASKED = "no question of gsb-probe has the runs that it compares"
+
+
 def verdict_of(findings: Sequence[Finding], *, named: int = 0) -> str:
     """One sentence: how many answers are yes, and which are no.
 
@@ -59,7 +62,11 @@ def verdict_of(findings: Sequence[Finding], *, named: int = 0) -> str:
     asked = [one for one in findings if one.answer is not Answer.NOT_ASKED]
     yes = [one.title for one in asked if one.answer is Answer.YES]
     verb = "is" if 1 in (len(yes), len(asked)) else "are"
-    said = f"{len(yes)} of {plural(len(asked), 'answer')} {verb} yes" if asked else "no question of gsb-probe has the runs that it compares"
+    said = (
+        f"{len(yes)} of {plural(len(asked), 'answer')} {verb} yes"
+        if asked
+        else "no question of gsb-probe has the runs that it compares"
+    )
     parts = [f"{said} ({few(yes, named)})" if yes and named else said]
     for answer in (Answer.NO, Answer.OPEN):
         if titles := [one.title for one in findings if one.answer is answer]:

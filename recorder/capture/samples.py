@@ -7,8 +7,7 @@ from collections.abc import Callable
 from gpusimbench.recorder import interruption
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.probes.gpu import Gpus
-from gpusimbench.recorder.probes.hardware import HardwareSampler
-from gpusimbench.recorder.probes.memory import MemorySampler
+from gpusimbench.recorder.probes.sampling import HardwareSampler, MemorySampler
 from gpusimbench.schemas.messages import message_class
 
 

@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.recorder.cluster.code import code
 from gpusimbench.recorder.cluster.connection import Cluster, Lost, Node
 from gpusimbench.recorder.cluster.gathering import Spoiled, gather
+from gpusimbench.recorder.cluster.node import code
 from gpusimbench.recorder.process.launch import Interruptions, Result
 from gpusimbench.recorder.process.launch import Progress as Report
 from gpusimbench.recorder.sets.task import Task

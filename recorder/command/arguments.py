@@ -391,7 +391,7 @@ def parser() -> RecordParser:
 
 def names() -> dict[str, tuple[str, ...]]:
     """Names that completion offers, by the destination of the option that takes them."""
-    from gpusimbench.recorder.environments.specification import SPECIFICATIONS
+    from gpusimbench.recorder.environments.store import SPECIFICATIONS
     from gpusimbench.recorder.scenes.registry import scene_names
     from gpusimbench.recorder.simulators.registry import simulators
 

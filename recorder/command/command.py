@@ -30,11 +30,11 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     """The configuration that the arguments ask for, and the files that its runs are given, by name; UsageError where it
     cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
-        from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
-        from gpusimbench.recorder.run import initial, intervention, keep, vary
+        from gpusimbench.recorder.plan import check_dt, parse_keep, parse_snapshots, view_of
+        from gpusimbench.recorder.run import intervention, start, vary
+        from gpusimbench.recorder.run.start import read_given
         from gpusimbench.recorder.scenes.actions import table
-        from gpusimbench.recorder.scenes.model.scene import ModelScene
-        from gpusimbench.recorder.sets.given import read_given
+        from gpusimbench.recorder.scenes.model import ModelScene
         from gpusimbench.recorder.trials.tosses import read_tosses
 
     scene, inputs = _scene(arguments)
@@ -60,7 +60,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     elif arguments.n_env is None:
         arguments.n_env = N_ENV
     if begins.startswith("random:"):
-        begins = initial.parse(begins, arguments.n_env)
+        begins = start.parse(begins, arguments.n_env)
     elif begins and given is None:
         begins, given = read_given(begins, arguments.n_env if arguments.sweep is None else 1)
     steps = arguments.steps
@@ -72,7 +72,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         "initial": begins,
         "vary": arguments.vary and vary.parse(arguments.vary, arguments.n_env),
         "intervention": arguments.intervene and intervention.parse(arguments.intervene),
-        "keep": arguments.keep and keep.parse(arguments.keep),
+        "keep": arguments.keep and parse_keep(arguments.keep),
         "snapshots": parse_snapshots(arguments.snapshot, steps),
         "model": model.files_sha256 if model else "",
         "keyframe": model.keyframe if model else "",
@@ -105,8 +105,8 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
 def _scene(arguments: argparse.Namespace) -> tuple[Scene, dict[str, bytes]]:
     # what is simulated, and the files that it consists of, where it is a model of the user's own
     with shielded():
-        from gpusimbench.recorder.scenes.model.controls_file import packed
-        from gpusimbench.recorder.scenes.model.scene import model_scene
+        from gpusimbench.recorder.scenes.actions import packed
+        from gpusimbench.recorder.scenes.model import model_scene
         from gpusimbench.recorder.scenes.registry import make_scene, scene_names
         from gpusimbench.schemas.model_files import MODEL, pack, scene_name
 
@@ -129,8 +129,8 @@ def _scene(arguments: argparse.Namespace) -> tuple[Scene, dict[str, bytes]]:
 def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
     """UsageError where no run can be made of it, whoever asks: a number, an option, a determinism level or a scene."""
     with shielded():
-        from gpusimbench.recorder.plan import check
-        from gpusimbench.recorder.run import intervention, keep, start, vary
+        from gpusimbench.recorder.plan import check, check_keep
+        from gpusimbench.recorder.run import intervention, start, vary
         from gpusimbench.recorder.scenes.actions import refusal as refusal_of
         from gpusimbench.recorder.simulators.registry import able, find_simulator
 
@@ -150,7 +150,7 @@ def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
         raise UsageError(f"{refusal}; simulators that can: {others}" if others else refusal)
     if scene.actions and (refusal := refusal_of(scene.actions, configuration)):
         raise UsageError(refusal)
-    keep.check(configuration, scene)
+    check_keep(configuration, scene)
     if refusal := start.refusal(simulator, adapter, options, configuration.initial, configuration.snapshots):
         raise UsageError(refusal)
     if refusal := vary.refusal(simulator, adapter, options, scene, configuration.vary):
@@ -299,8 +299,7 @@ def _print_json(record: dict[str, Any]) -> None:
 
 def _list(name: str, as_json: bool) -> int:
     with shielded():
-        from gpusimbench.recorder.command.listing import list_all, text_of
-        from gpusimbench.recorder.command.listing_one import lines_of, list_one
+        from gpusimbench.recorder.command.listing import lines_of, list_all, list_one, text_of
     known = list_one(name) if name else list_all()
     if as_json:
         _print_json(known)

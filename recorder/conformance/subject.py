@@ -14,9 +14,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gpusimbench.recorder.conformance.recording import RecordedRun, read
 from gpusimbench.recorder.conformance.scene import DT, LANDING, N_ENV, N_STEP, conformance_scene
-from gpusimbench.recorder.conformance.trajectory import Trajectory
+from gpusimbench.recorder.conformance.trajectory import RecordedRun, Trajectory, read
 from gpusimbench.recorder.conformance.verdict import NotApplicable
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.run.engine import apply_environment

@@ -19,7 +19,7 @@ from packaging.requirements import Requirement
 from packaging.tags import Tag
 from packaging.utils import InvalidWheelFilename, canonicalize_name, parse_wheel_filename
 
-from gpusimbench.recorder.environments.specification import SPECIFICATIONS, Specification
+from gpusimbench.recorder.environments.store import SPECIFICATIONS, Specification
 from gpusimbench.schemas.writing import write_file
 
 _HEAD = """\

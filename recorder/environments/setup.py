@@ -14,8 +14,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gpusimbench.recorder.environments.interpreter import RECORDING, Interpreter, at, forget
-from gpusimbench.recorder.environments.specification import Specification, specification_of
-from gpusimbench.recorder.environments.store import FOLDER_VARIABLE, MANIFEST, Prepared, find, folder_of, store
+from gpusimbench.recorder.environments.store import (
+    FOLDER_VARIABLE,
+    MANIFEST,
+    Prepared,
+    Specification,
+    find,
+    folder_of,
+    specification_of,
+    store,
+)
 from gpusimbench.recorder.plan import utc_now
 from gpusimbench.recorder.probes.software import NUMERIC_PACKAGES
 from gpusimbench.recorder.sets.progress import say

@@ -12,8 +12,7 @@ from pathlib import Path
 
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.process.launch import Interruptions
-from gpusimbench.recorder.programs.descendants import adopt, end_with_parent
-from gpusimbench.recorder.programs.run import ProgramRun, new_folder, run_program
+from gpusimbench.recorder.programs.run import ProgramRun, adopt, end_with_parent, new_folder, run_program
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.text import line, show, show_document
 

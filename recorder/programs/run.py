@@ -1,11 +1,13 @@
-"""One run of a program: a fresh process, its folder, its memory, its end."""
+"""One run of a program: a fresh process, its folder, its memory, its end, and the processes that it leaves behind."""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -16,15 +18,23 @@ from pathlib import Path
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.sampling import Sampler
 from gpusimbench.recorder.process.launch import Interruptions, how_it_died, last_line
-from gpusimbench.recorder.programs.descendants import end_all
 from gpusimbench.recorder.programs.folder import VARIABLE, describe
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.commands.parent import signalled_at_its_end
-from gpusimbench.schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.writing import create
 
 _INTERVAL_S = 0.1
 HOST = "host"
+
+GRACE_S = 10.0
+"""How long a program whose time is over may take to end its recordings, before it is killed [s]."""
+
+OUTPUT = "output.txt"
+"""In the folder of a run: what the program prints."""
+
+_PATIENCE_S = 5.0  # for processes that the kernel does not let end, such as those that wait for a disk
+_SET_CHILD_SUBREAPER = 36  # prctl(2)
 
 
 class ProgramMemory(Sampler[int]):
@@ -61,13 +71,6 @@ class ProgramMemory(Sampler[int]):
 
     def _note(self, source: str, used: int) -> None:
         self.peaks[source] = max(used, self.peaks.get(source, 0))
-
-
-GRACE_S = 10.0
-"""How long a program whose time is over may take to end its recordings, before it is killed [s]."""
-
-OUTPUT = "output.txt"
-"""In the folder of a run: what the program prints."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ def run_program(
 ) -> ProgramRun:
     """Run a program to its end; what it started ends with it, and so do all other processes of this one.
 
-    On Linux, what made a session of its own ends, too, where this process has adopted it (descendants.adopt).
+    On Linux, what made a session of its own ends, too, where this process has adopted it (adopt).
 
     command     the program and its arguments
     folder      of the run; the environment variable VARIABLE names it to the program
@@ -195,3 +198,46 @@ def _end(returncode: int, late: bool, interrupted: bool, time_limit: float, fold
 
 def _found(folder: Path, ending: str) -> tuple[str, ...]:
     return tuple(sorted(str(path) for path in folder.rglob(f"*{ending}") if path.is_file()))
+
+
+def adopt() -> bool:
+    """Have what processes of this one leave behind become its own children, not those of the system's first process.
+
+    Linux alone has that (prctl(2), PR_SET_CHILD_SUBREAPER). Returns whether it is so.
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    return bool(ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0) == 0)
+
+
+def end_with_parent() -> None:
+    """Have SystemExit raised in the main thread once the parent of this process has ended, however it did.
+
+    On Linux alone.
+    """
+    if tell := signalled_at_its_end(signal.SIGUSR1):
+        parent = os.getppid()
+        signal.signal(signal.SIGUSR1, _ended)
+        tell()
+        if os.getppid() != parent:
+            _ended()
+
+
+def _ended(*_: object) -> None:
+    raise SystemExit(int(ExitCode.FAILURE))
+
+
+def end_all() -> None:
+    """Kill all processes that descend from this one, and those that they start meanwhile, until none is left.
+
+    Without `adopt`, those whose parents have ended are not found.
+    """
+    import psutil
+
+    until = time.monotonic() + _PATIENCE_S
+    while left := psutil.Process().children(recursive=True):
+        for process in left:
+            with suppress(psutil.Error):
+                process.kill()
+        if psutil.wait_procs(left, timeout=max(0.0, until - time.monotonic()))[1]:
+            return

@@ -9,7 +9,7 @@ import numpy as np
 
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import CONTACTS
 from gpusimbench.schemas.arrays import MEDIA_TYPE
@@ -27,7 +27,7 @@ def write_imported(journal: Journal, simulator: Simulator) -> None:
 
 def write_trials(journal: Journal, scene: ModelScene, make: Make, *, dt: float, seed: int) -> None:
     """Try the model on simulators of its own, and attach what came of it."""
-    from gpusimbench.recorder.simulators.mujoco.drop import dropped
+    from gpusimbench.recorder.simulators.mujoco.trials import dropped
 
     if (found := tried(scene, make, dt=dt, seed=seed)) is None:
         journal.event("NOTE", "the simulator does not tell what it holds of a model file; nothing was tried")

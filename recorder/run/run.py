@@ -40,7 +40,7 @@ from gpusimbench.recorder.run.journal import Journal, Phase
 from gpusimbench.recorder.run.pace import COMPILE, REBUILD
 from gpusimbench.recorder.run.timed_phase import warm_up_and_time
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.scenes.registry import scene_of
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import Description, Simulator

@@ -68,7 +68,7 @@ def scene_of(configuration: RunConfiguration, inputs: Mapping[str, bytes]) -> Sc
     """
     if not configuration.model:
         return make_scene(configuration.scene).with_options(configuration.options)
-    from gpusimbench.recorder.scenes.model.scene import model_scene
+    from gpusimbench.recorder.scenes.model import model_scene
     from gpusimbench.schemas.model_files import MODEL
 
     archive = inputs.get(MODEL, b"")

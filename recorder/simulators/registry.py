@@ -97,126 +97,69 @@ def _extra(name: str) -> str:
     return f"pip install 'gpusimbench[{name}]', or in a clone: pip install '.[{name}]'"
 
 
+def _engine(
+    name: str,
+    summary: str,
+    adapter: str,
+    *requires: str,
+    install: str = "",
+    devices: tuple[str, ...] = ("cuda", "cpu"),
+    precision: tuple[str, ...] = ("float32",),
+    needs: str = "",
+) -> Entry:
+    # the class `adapter` of NAME/simulator.py; `install` where no extra of this distribution has the name
+    target = f"gpusimbench.recorder.simulators.{name}.simulator:{adapter}"
+    return Entry(name, summary, target, (*requires, "psutil"), install or _extra(name), devices, precision, needs)
+
+
 BUILT_IN = (
-    Entry(
-        "mujoco",
-        "MuJoCo C on the CPU, float64, environments spread over threads",
-        "gpusimbench.recorder.simulators.mujoco.simulator:MujocoC",
-        requires=("mujoco", "psutil"),
-        install=_extra("mujoco"),
-        devices=("cpu",),
-        precision=("float64",),
+    _engine(
+        "mujoco", "MuJoCo C on the CPU, float64, environments spread over threads", "MujocoC", "mujoco",
+        devices=("cpu",), precision=("float64",),
     ),
-    Entry(
-        "warp",
-        "MuJoCo Warp: MuJoCo in Warp kernels, CUDA graph capture on a GPU",
-        "gpusimbench.recorder.simulators.warp.simulator:MujocoWarp",
-        requires=("mujoco_warp", "psutil"),
-        install=_extra("warp"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
+    _engine(
+        "warp", "MuJoCo Warp: MuJoCo in Warp kernels, CUDA graph capture on a GPU", "MujocoWarp", "mujoco_warp"
     ),
-    Entry(
-        "mjx",
-        "MJX: MuJoCo in JAX (--impl jax) or in Warp kernels called from JAX (--impl warp)",
-        "gpusimbench.recorder.simulators.mjx.simulator:Mjx",
-        requires=("jax", "mujoco.mjx", "psutil"),
-        install=_extra("mjx"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
+    _engine(
+        "mjx", "MJX: MuJoCo in JAX (--impl jax) or in Warp kernels called from JAX (--impl warp)", "Mjx",
+        "jax", "mujoco.mjx",
     ),
-    Entry(
+    _engine(
         "playground",
-        "MuJoCo Playground: an environment of its own kind over MJX, with its default implementation",
-        "gpusimbench.recorder.simulators.playground.simulator:Playground",
-        requires=("mujoco_playground", "psutil"),
-        install=_extra("playground"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
+        "MuJoCo Playground: an environment of its own kind over MJX, with its default implementation", "Playground",
+        "mujoco_playground",
     ),
-    Entry(
-        "brax",
-        "Brax: --solver positional, spring or generalized, in JAX",
-        "gpusimbench.recorder.simulators.brax.simulator:Brax",
-        requires=("brax", "psutil"),
-        install=_extra("brax"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
+    _engine("brax", "Brax: --solver positional, spring or generalized, in JAX", "Brax", "brax"),
+    _engine("newton", "Newton: --solver mujoco, xpbd, steel and others, in Warp kernels", "Newton", "newton"),
+    _engine(
+        "genesis", "Genesis: its rigid solver in Quadrants kernels", "Genesis", "genesis", "torch",
+        install=_set_up("genesis"), precision=("float32", "float64"),
     ),
-    Entry(
-        "newton",
-        "Newton: --solver mujoco, xpbd, steel and others, in Warp kernels",
-        "gpusimbench.recorder.simulators.newton.simulator:Newton",
-        requires=("newton", "psutil"),
-        install=_extra("newton"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
+    _engine(
+        "physx", "PhysX by way of ovphysx, the engine of Isaac Lab 3, without Isaac Lab", "Physx",
+        "ovphysx", "ovstage", "warp", install=_set_up("physx"),
     ),
-    Entry(
-        "genesis",
-        "Genesis: its rigid solver in Quadrants kernels",
-        "gpusimbench.recorder.simulators.genesis.simulator:Genesis",
-        requires=("genesis", "torch", "psutil"),
-        install=_set_up("genesis"),
-        devices=("cuda", "cpu"),
-        precision=("float32", "float64"),
+    _engine(
+        "isaaclab", "Isaac Lab 3 without Isaac Sim: --backend ovphysx or newton", "IsaacLab",
+        "isaaclab", "torch", "mujoco", install=_set_up("isaaclab"),
     ),
-    Entry(
-        "physx",
-        "PhysX by way of ovphysx, the engine of Isaac Lab 3, without Isaac Lab",
-        "gpusimbench.recorder.simulators.physx.simulator:Physx",
-        requires=("ovphysx", "ovstage", "warp", "psutil"),
-        install=_set_up("physx"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
+    _engine(
+        "sapien", "SAPIEN: PhysX, one system for each environment on the CPU, one for all on a GPU", "Sapien",
+        "sapien", install=_set_up("sapien"),
     ),
-    Entry(
-        "isaaclab",
-        "Isaac Lab 3 without Isaac Sim: --backend ovphysx or newton",
-        "gpusimbench.recorder.simulators.isaaclab.simulator:IsaacLab",
-        requires=("isaaclab", "torch", "mujoco", "psutil"),
-        install=_set_up("isaaclab"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
+    _engine(
+        "maniskill", "ManiSkill: an environment of its own kind on SAPIEN; one environment on the CPU", "ManiSkill",
+        "mani_skill", "sapien", "torch", install=_set_up("maniskill"),
     ),
-    Entry(
-        "sapien",
-        "SAPIEN: PhysX, one system for each environment on the CPU, one for all on a GPU",
-        "gpusimbench.recorder.simulators.sapien.simulator:Sapien",
-        requires=("sapien", "psutil"),
-        install=_set_up("sapien"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
+    _engine(
+        "madrona", "Madrona: worlds of an entity component system, stepped by a module that you compile", "Madrona",
+        install=_extra("record"), needs="a module of your own build: docs/madrona.md",
     ),
-    Entry(
-        "maniskill",
-        "ManiSkill: an environment of its own kind on SAPIEN; one environment on the CPU",
-        "gpusimbench.recorder.simulators.maniskill.simulator:ManiSkill",
-        requires=("mani_skill", "sapien", "torch", "psutil"),
-        install=_set_up("maniskill"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
+    _engine(
+        "calibration", "an instrument, no engine: results known beforehand, to test the whole pipeline with",
+        "Calibration", "taichi", install=_set_up("calibration"),
     ),
-    Entry(
-        "madrona",
-        "Madrona: worlds of an entity component system, stepped by a module that you compile",
-        "gpusimbench.recorder.simulators.madrona.simulator:Madrona",
-        requires=("psutil",),
-        install=_extra("record"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
-        needs="a module of your own build: docs/madrona.md",
-    ),
-    Entry(
-        "calibration",
-        "an instrument, no engine: results known beforehand, to test the whole pipeline with",
-        "gpusimbench.recorder.simulators.calibration.simulator:Calibration",
-        requires=("taichi", "psutil"),
-        install=_set_up("calibration"),
-        devices=("cuda", "cpu"),
-        precision=("float32",),
-    ),
-)
+)  # fmt: skip
 
 
 def simulators() -> dict[str, Entry]:

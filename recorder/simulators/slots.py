@@ -7,10 +7,12 @@ as soon as the work before them is done. On the CPU the device's arrays are the 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.base import Simulator
@@ -20,36 +22,28 @@ from gpusimbench.recorder.simulators.evidence import Evidence
 Shapes = Mapping[str, tuple[tuple[int, ...], Any]]
 """Shape and the library's dtype by name; the first dimension is the row."""
 
+Host = Callable[[str], NDArray[Any]]
+"""The steps of a slot's array on the host [step, ...], by name: not a copy."""
 
-class Slot(ABC):
+
+@dataclass(eq=False)
+class Slot:
     """Arrays [row, ...] by name, on the device and on the host.
 
     first   number of its first row among those of all slots
     arrays  on the device
+    host    the copies; the same arrays on the CPU
+    copied  the event behind the last copy; None where there was none
     """
 
-    def __init__(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> None:
-        """host  the copies; the same arrays on the CPU"""
-        self.first = first
-        self.arrays = arrays
-        self._host = host
-
-    @abstractmethod
-    def begin_copy(self, rows: int) -> None:
-        """Enqueue the copy of the first rows behind what the device has been given to do."""
-
-    @abstractmethod
-    def wait(self) -> None:
-        """Return when the copy is there."""
-
-    def host(self, name: str, rows: int) -> NDArray[Any]:
-        """The first rows of an array on the host: not a copy."""
-        array: NDArray[Any] = self._host[name].numpy()[:rows]
-        return array
+    first: int
+    arrays: Mapping[str, Any]
+    host: Mapping[str, Any]
+    copied: Any = None
 
 
 class Slots(ABC):
-    """A few slots alike. The thread that steps takes one; any thread gives it back.
+    """A few slots alike, of one library's arrays. The thread that steps takes a slot; any thread gives it back.
 
     rows    of a slot
     all     the slots
@@ -60,6 +54,7 @@ class Slots(ABC):
         """shapes  of a slot's arrays
         pinned  whether the host has copies; False on the CPU
         """
+        self._pinned = pinned
         rows = self.rows = next(iter(shapes.values()))[0][0]
         whole = {name: ((RING_BLOCKS * rows, *shape[1:]), dtype) for name, (shape, dtype) in shapes.items()}
         self.arrays = {name: self._allocated(*made, pinned=False) for name, made in whole.items()}
@@ -67,7 +62,7 @@ class Slots(ABC):
 
         def slot_at(first: int) -> Slot:
             parts = ({name: a[first : first + rows] for name, a in arrays.items()} for arrays in (self.arrays, host))
-            return self._slot(first, *parts)
+            return Slot(first, *parts)
 
         self.all = tuple(slot_at(number * rows) for number in range(RING_BLOCKS))
         self._free: SimpleQueue[Slot] = SimpleQueue()
@@ -79,8 +74,22 @@ class Slots(ABC):
         """An array on the device, or in pinned memory of the host."""
 
     @abstractmethod
-    def _slot(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> Slot:
-        """A slot of these arrays."""
+    def _copy(self, slot: Slot, rows: int) -> Any:
+        """Enqueue the copy of the first rows, on a stream of its own; returns the event behind it."""
+
+    @abstractmethod
+    def _wait_for(self, event: Any) -> None:
+        """Return when an event has happened."""
+
+    def begin_copy(self, slot: Slot, rows: int) -> None:
+        """Enqueue the copy of the first rows of a slot behind what the device has been given to do."""
+        if self._pinned:
+            slot.copied = self._copy(slot, rows)
+
+    def wait(self, slot: Slot) -> None:
+        """Return when the last copy of a slot is there."""
+        if slot.copied is not None:
+            self._wait_for(slot.copied)
 
     def take(self) -> Slot:
         """A slot that nobody uses; at most RING_BLOCKS may be taken."""
@@ -94,18 +103,46 @@ class Slots(ABC):
 class SlotBlock(Captured):
     """Steps in the first rows of a slot, which goes back to its kind when they were read."""
 
-    def __init__(self, slots: Slots, slot: Slot, rows: int) -> None:
+    def __init__(
+        self,
+        slots: Slots,
+        slot: Slot,
+        rows: int,
+        *,
+        split: Callable[[Host, slice], States],
+        told: Callable[[Host], Evidence | None],
+        held: str = "",
+    ) -> None:
+        """split  makes states of the slot's arrays, for a range of environments
+        told   makes evidence of them
+        held   name of the array of actions that the engine held, where the slot has it
+        """
         self._slots = slots
         self._slot = slot
         self._rows = rows
+        self._split = split
+        self._told = told
+        self._held = held
 
-    def host(self, name: str) -> NDArray[Any]:
-        """The steps of an array on the host: not a copy."""
-        return self._slot.host(name, self._rows)
+    def _host(self, name: str) -> NDArray[Any]:
+        array: NDArray[Any] = self._slot.host[name].numpy()[: self._rows]
+        return array
 
     def wait(self) -> None:
         """See Captured.wait."""
-        self._slot.wait()
+        self._slots.wait(self._slot)
+
+    def states(self, envs: slice) -> States:
+        """See Captured.states."""
+        return self._split(self._host, envs)
+
+    def actions(self, envs: slice) -> NDArray[np.float32] | None:
+        """See Captured.actions."""
+        return self._host(self._held)[:, envs] if self._held in self._slot.arrays else None
+
+    def evidence(self) -> Evidence | None:
+        """See Captured.evidence."""
+        return self._told(self._host)
 
     def release(self) -> None:
         """See Captured.release."""

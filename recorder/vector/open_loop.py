@@ -15,10 +15,9 @@ from gpusimbench.recorder.vector.fields import field_of
 from gpusimbench.recorder.vector.infos import given
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.recorder.vector.part import ACTION, Part, attachments
-from gpusimbench.recorder.vector.physics import NAMES
 from gpusimbench.recorder.vector.starts import begin_at
 from gpusimbench.recorder.vector.wrap import wrap
-from gpusimbench.recorder.vector.wrapper import Recorded
+from gpusimbench.recorder.vector.wrapper import OF_MUJOCO, Recorded
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.text import few
 from gpusimbench.schemas.trees import leaves, mapped
@@ -92,7 +91,7 @@ def replay(
     spare = next(of_env[0] for of_env in parts if of_env)
     for place in places:
         place.last = {name: array[0] for name, array in spare.actions.items()}
-    physics = any(part.state is not None and set(NAMES) <= set(part.state) for of_env in parts for part in of_env)
+    physics = any(part.state is not None and set(OF_MUJOCO) <= set(part.state) for of_env in parts for part in of_env)
     with wrap(envs, path, steps=steps, dt=dt, infos=infos, physics=physics, images=images) as recorded:
         if isinstance(recorded, Recorded):  # so that a replay of the replay begins alike
             recorded.attach(attachments(parts))

@@ -38,8 +38,7 @@ if TYPE_CHECKING:
     from gpusimbench.recorder.log import RecordingWriter
     from gpusimbench.recorder.scenes.base import Scene
     from gpusimbench.recorder.simulators.base import Simulator
-    from gpusimbench.recorder.vector.device.rollout import record_rollout
-    from gpusimbench.recorder.vector.wrap import wrap
+    from gpusimbench.recorder.vector.wrap import record_rollout, wrap
     from gpusimbench.schemas.location import Place
 
     Where = str | Path | Place
@@ -71,7 +70,7 @@ _LATER = {
     "RecordingWriter": "gpusimbench.recorder.log",
     "Scene": "gpusimbench.recorder.scenes.base",
     "Simulator": "gpusimbench.recorder.simulators.base",
-    "record_rollout": "gpusimbench.recorder.vector.device.rollout",
+    "record_rollout": "gpusimbench.recorder.vector.wrap",
     "wrap": "gpusimbench.recorder.vector.wrap",
 }
 

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.runs.physics.canonical.dice import faces
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, PhysicsFacts
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 from gpusimbench.evaluator.statistics.families import uniformity
-from gpusimbench.recorder.run.initial import orientations
+from gpusimbench.recorder.run.start import orientations
 from gpusimbench.schemas.treatment import Initial
 from tests.conftest import call
 

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.metrics.physics.four_bar import FourBar, wrapped
 from gpusimbench.evaluator.results.canonical import Law, Unmeasured, laws
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of
-from gpusimbench.recorder.run import initial
+from gpusimbench.recorder.run import start
 from gpusimbench.recorder.scenes import loop
 from gpusimbench.recorder.scenes.base import Vector
 from gpusimbench.recorder.scenes.registry import make_scene
@@ -49,15 +49,15 @@ def _stepped(path: Path, scene: Scene, *, dt: float = 0.002, seconds: float = 4.
     adapter = find_simulator("mujoco").load()
     simulator = adapter(scene, n_env=ENVS, dt=dt, seed=2, options=adapter.parsed("mujoco", scene, options))
     made = simulator.build()
-    start = initial.states(Initial(0.8), scene, made.fields, simulator.state(), 2)
-    simulator.set_state(start)
+    begun = start.drawn_states(Initial(0.8), scene, made.fields, simulator.state(), 2)
+    simulator.set_state(begun)
     steps = round(seconds / dt)
     writer = RecordingWriter(
         path, simulator="mujoco", version=made.version, scene=make_scene("four-bar"), n_env=ENVS, dt=dt, steps=steps,
         fields=made.fields, view=(),
     )  # fmt: skip
     with writer as log:
-        log.append(*start)
+        log.append(*begun)
         log.append(*simulator.states(steps))
     simulator.close()
     return path

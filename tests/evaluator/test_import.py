@@ -15,7 +15,7 @@ from gpusimbench.evaluator.imports.parameters import Compared, Finding, Verdict,
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.recorder.run.import_phase import tried
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.scenes.model import ModelScene, model_scene
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.imported import Imported, Trials

@@ -15,9 +15,9 @@ import pytest
 from gpusimbench.evaluator.imports.audit import Landing, landings
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.scenes.model import ModelScene, model_scene
 from gpusimbench.recorder.simulators.base import Simulator
-from gpusimbench.recorder.simulators.mujoco.drop import AFTER_S, dropped
+from gpusimbench.recorder.simulators.mujoco.trials import AFTER_S, dropped
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.imported import Drop

@@ -425,7 +425,7 @@ def test_a_reference_that_cannot_be(
     broken = change(whole)
     monkeypatch.setattr(Tosses, "__len__", lambda self: len(whole.known.rows))
     monkeypatch.setattr(Tosses, "steps", lambda self, scene: 441)
-    monkeypatch.setattr("gpusimbench.recorder.trials.reference.read_tosses", lambda path: broken)
+    monkeypatch.setattr("gpusimbench.recorder.trials.real.read_tosses", lambda path: broken)
     assert gsb_record("--sim", "real", "--scene", "cube-toss", "--out", tmp_path).returncode == 0
     done = gsb_eval(*tmp_path.glob("*.mcap"), runs["elliptic"], code=0)
     assert said in " ".join(done.stdout.split())

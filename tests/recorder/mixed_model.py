@@ -14,7 +14,7 @@ import numpy as np
 
 from gpusimbench.evaluator.imports.parameters import Finding, compare
 from gpusimbench.recorder.run.import_phase import tried
-from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.scenes.model import ModelScene, model_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from gpusimbench import RecordingWriter, open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.recorder.capture.in_memory import StatesInMemory
 from gpusimbench.recorder.capture.ranges import env_block
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
@@ -26,6 +25,7 @@ from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.recorder.capture.writing import Block, Writing
 from gpusimbench.recorder.failure import NoHostMemory, cause_of
+from gpusimbench.recorder.run.capture_phase import StatesInMemory
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS, Held
 from gpusimbench.recorder.simulators.evidence import Evidence

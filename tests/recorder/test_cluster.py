@@ -25,9 +25,9 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.cluster import gathering
 from gpusimbench.recorder.cluster.batch import TRIES, Batch, Ended, Said
-from gpusimbench.recorder.cluster.code import code
 from gpusimbench.recorder.cluster.connection import Node
 from gpusimbench.recorder.cluster.gathering import Spoiled, Stopped, gather
+from gpusimbench.recorder.cluster.node import code
 from gpusimbench.recorder.cluster.seats import needs_gpu, spots
 from gpusimbench.recorder.process.launch import Result
 from gpusimbench.recorder.sets.task import Task

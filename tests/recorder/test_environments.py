@@ -14,8 +14,15 @@ from packaging.requirements import Requirement
 from gpusimbench.recorder.environments.choice import check_known, interpreter_for
 from gpusimbench.recorder.environments.interpreter import Interpreter, at, own
 from gpusimbench.recorder.environments.setup import set_up, size_of
-from gpusimbench.recorder.environments.specification import SPECIFICATIONS, Specification
-from gpusimbench.recorder.environments.store import FOLDER_VARIABLE, Prepared, find, folder_of, prepared
+from gpusimbench.recorder.environments.store import (
+    FOLDER_VARIABLE,
+    SPECIFICATIONS,
+    Prepared,
+    Specification,
+    find,
+    folder_of,
+    prepared,
+)
 from gpusimbench.recorder.simulators.registry import BUILT_IN, Entry
 from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import SMALL, Command, finished

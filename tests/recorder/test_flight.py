@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from gpusimbench import open_recording, verify
 from gpusimbench.evaluator.read.failing import ONLY_FAILING, Failing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.recorder.run.keep import parse
+from gpusimbench.recorder.plan import parse_keep
 from gpusimbench.recorder.simulators.flight import AFTER, BEFORE
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -256,7 +256,7 @@ _WRONG = (
 def test_wrong_texts(text: str) -> None:
     """Refuse what says nothing that could be kept, in a command and in a file."""
     with pytest.raises(UsageError, match="--keep is failing or failing,within:METRES"):
-        parse(text)
+        parse_keep(text)
     record = RunConfiguration("mujoco", "free-fall", 1, 0.01, 1).to_json()
     assert "keep" not in record
     with pytest.raises(DamagedRecording, match="keep has an unknown value"):

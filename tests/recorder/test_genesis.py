@@ -16,7 +16,7 @@ pytest.importorskip("genesis")
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import parse_options
-from gpusimbench.recorder.run import initial
+from gpusimbench.recorder.run import start
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description, States
@@ -254,7 +254,7 @@ def test_a_restored_collision_goes_on(build: Build) -> None:
     """
     simulator, description = build(COLLISION, n_env=8)
     first = tuple(np.array(array) for array in simulator.state())
-    simulator.set_state(initial.states(Initial.parse("random:0.1"), COLLISION, description.fields, first, 0))
+    simulator.set_state(start.drawn_states(Initial.parse("random:0.1"), COLLISION, description.fields, first, 0))
     simulator.step(49)
     snapshot = simulator.snapshot()
     onward = simulator.states(60)

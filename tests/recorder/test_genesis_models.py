@@ -21,7 +21,7 @@ from gpusimbench.evaluator.imports.motion import Poses, Responses, poses, respon
 from gpusimbench.evaluator.imports.parameters import compare
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.run.import_phase import tried
-from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.scenes.model import ModelScene, model_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.schemas.errors import UsageError

@@ -20,7 +20,7 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.samples import SampleWriter
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.probes.gpu import Gpus
-from gpusimbench.recorder.probes.hardware import Cpus, HardwareSampler
+from gpusimbench.recorder.probes.sampling import Cpus, HardwareSampler
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, Provenance

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.run.initial import GRID, draw, parse
 from gpusimbench.recorder.run.intervention import DOING
+from gpusimbench.recorder.run.start import GRID, draw, parse
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError

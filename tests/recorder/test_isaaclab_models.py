@@ -17,7 +17,7 @@ pytest.importorskip("isaaclab")
 pytest.importorskip("ovphysx")
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.isaaclab.physx import measured
 from gpusimbench.schemas.errors import UsageError

@@ -16,7 +16,7 @@ pytest.importorskip("isaaclab")
 pytest.importorskip("mujoco_warp")
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description
 from tests.recorder import engines
 from tests.recorder.mixed_model import (

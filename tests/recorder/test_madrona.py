@@ -19,8 +19,7 @@ from gpusimbench.recorder.conformance import CHECKS, NotApplicable, Subject
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.madrona.columns import TorchColumns
-from gpusimbench.recorder.simulators.madrona.module import METHODS, REQUIRED_SETTINGS
-from gpusimbench.recorder.simulators.madrona.options import VARIABLE, MadronaOptions
+from gpusimbench.recorder.simulators.madrona.module import METHODS, REQUIRED_SETTINGS, VARIABLE, MadronaOptions
 from gpusimbench.recorder.simulators.madrona.simulator import Madrona
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import finished

@@ -19,8 +19,7 @@ import pytest
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Sphere
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.recorder.simulators.madrona.module import METHODS, REQUIRED_SETTINGS
-from gpusimbench.recorder.simulators.madrona.options import VARIABLE, MadronaOptions
+from gpusimbench.recorder.simulators.madrona.module import METHODS, REQUIRED_SETTINGS, VARIABLE, MadronaOptions
 from gpusimbench.recorder.simulators.madrona.simulator import Madrona
 from tests.conftest import run_python
 

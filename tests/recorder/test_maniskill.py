@@ -23,8 +23,7 @@ from gpusimbench.recorder.conformance.verdict import NotApplicable
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.maniskill.options import ManiSkillOptions
-from gpusimbench.recorder.simulators.maniskill.simulator import ManiSkill
+from gpusimbench.recorder.simulators.maniskill.simulator import ManiSkill, ManiSkillOptions
 from gpusimbench.recorder.simulators.sapien.complaints import Complaints
 from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions

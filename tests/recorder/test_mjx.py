@@ -329,9 +329,8 @@ def test_parameters_of_an_environment_are_those_of_its_own_model(scene: str, var
     from mujoco import mjx
 
     from gpusimbench.recorder.simulators.mjx.physics import batched, model_fields
-    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+    from gpusimbench.recorder.simulators.mujoco.model import compile_scene, compile_varied
     from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
-    from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
 
     made, options = make_scene(scene), MjcfOptions(cone="pyramidal")
     drawn = variation(vary, made, n_env=3, seed=0)

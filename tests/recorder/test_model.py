@@ -16,7 +16,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.scenes.model.scene import compiled, model_scene
+from gpusimbench.recorder.scenes.model import compiled, model_scene
 from gpusimbench.schemas.action_generator import Controls, grid_of
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
 from gpusimbench.schemas.mcap.reader import Container

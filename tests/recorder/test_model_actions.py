@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.scenes.model.controls_file import packed
-from gpusimbench.recorder.scenes.model.scene import model_scene
+from gpusimbench.recorder.scenes.actions import packed
+from gpusimbench.recorder.scenes.model import model_scene
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.action_generator import Controls, JointTargets, Streams
 from gpusimbench.schemas.errors import ExitCode, UsageError
@@ -181,7 +181,7 @@ def test_on_a_device(each: bool, tmp_path: Path) -> None:
             import warp as wp
 
             from gpusimbench.recorder.simulators.warp import runtime
-            from gpusimbench.recorder.simulators.warp.actions import DeviceActions
+            from gpusimbench.recorder.simulators.warp.runtime import DeviceActions
 
             runtime.start("cpu")
             drawn, ctrl = DeviceActions(actions, 5, usual), wp.zeros((2, 4), dtype=float)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpusimbench.recorder.scenes.model.scene import model_scene
+from gpusimbench.recorder.scenes.model import model_scene
 from gpusimbench.recorder.simulators.mujoco.geometry import fewer, geometry_of, grid
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions

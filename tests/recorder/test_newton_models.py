@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.scenes.model import ModelScene, model_scene
 from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import own_options

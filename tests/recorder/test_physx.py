@@ -21,7 +21,7 @@ from gpusimbench.recorder.scenes.base import Body, Box, Material, Plane, Scene, 
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description
-from gpusimbench.recorder.simulators.physx import bodies, grid, libraries, log
+from gpusimbench.recorder.simulators.physx import bodies, libraries, session
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions, apis
 from gpusimbench.recorder.simulators.physx.simulator import Physx
@@ -91,36 +91,38 @@ def scene_of(*bodies: Body) -> Scene:
 @pytest.mark.parametrize("line", OVERFLOWS)
 def test_signs_of_dropped_contacts(line: str) -> None:
     """Every line that PhysX has for dropped contacts is fatal, whatever its level; other warnings are not."""
-    assert log.is_fatal(logging.WARNING, line)
+    assert session.is_fatal(logging.WARNING, line)
 
 
 def test_other_lines() -> None:
     """An error is fatal, and a warning that drops nothing is not."""
-    assert log.is_fatal(logging.ERROR, "PhysX error: PxScene::simulate(): anything, FILE x, LINE 1")
-    assert not log.is_fatal(logging.WARNING, "EnvIds requested but gpu dynamic is disabled.")
-    assert not log.is_fatal(logging.WARNING, "PxgPinnedHostLinearMemoryAllocator: overflowing initial allocation size")
+    assert session.is_fatal(logging.ERROR, "PhysX error: PxScene::simulate(): anything, FILE x, LINE 1")
+    assert not session.is_fatal(logging.WARNING, "EnvIds requested but gpu dynamic is disabled.")
+    assert not session.is_fatal(
+        logging.WARNING, "PxgPinnedHostLinearMemoryAllocator: overflowing initial allocation size"
+    )
 
 
 @given(st.integers(1, 400), st.floats(0.1, 100))
 def test_grid(n_env: int, spacing: float) -> None:
     """Origins are apart, fill a square, and those of the first environments are the same for any number."""
-    places = grid.origins(n_env, spacing)
+    places = session.grid_origins(n_env, spacing)
     assert len(set(places)) == len(places) == n_env
-    assert places == grid.origins(n_env + 17, spacing)[:n_env]
+    assert places == session.grid_origins(n_env + 17, spacing)[:n_env]
     side = math.isqrt(n_env - 1)
     assert max(max(x, y) for x, y, _ in places) == spacing * side
-    assert grid.origins(n_env, 0.0) == ()
+    assert session.grid_origins(n_env, 0.0) == ()
 
 
 def test_bodies_that_environments_share() -> None:
     """Planes serve all environments of a grid, all fixed bodies those of one place."""
-    assert grid.shared_bodies(make_scene("free-fall"), 4.0) == ("ground",)
-    assert grid.shared_bodies(make_scene("inclined-collision"), 4.0) == ()
-    assert grid.shared_bodies(make_scene("inclined-collision"), 0.0) == ("board", "slope")
+    assert session.shared_bodies(make_scene("free-fall"), 4.0) == ("ground",)
+    assert session.shared_bodies(make_scene("inclined-collision"), 4.0) == ()
+    assert session.shared_bodies(make_scene("inclined-collision"), 0.0) == ("board", "slope")
     steep = Body(
         "steep", Plane(), Material("wood", 1, 1, 0), (0, 0, 0), orientation=(math.cos(0.1), 0, math.sin(0.1), 0)
     )
-    assert grid.shared_bodies(scene_of(steep), 0.0) == ("steep",)
+    assert session.shared_bodies(scene_of(steep), 0.0) == ("steep",)
 
 
 @pytest.mark.parametrize(
@@ -336,7 +338,7 @@ def test_one_place_needs_a_gpu() -> None:
 @pytest.mark.usefixtures("engine")
 def test_lines_of_the_engine_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """A line that the engine itself prints fires a gate, once."""
-    monkeypatch.setattr(log, "_DROPPED", re.compile("EnvIds requested"))  # what it says of clones on a CPU
+    monkeypatch.setattr(session, "_DROPPED", re.compile("EnvIds requested"))  # what it says of clones on a CPU
     simulator, _ = build(make_scene("free-fall"))
     assert simulator.gates() == [
         "PhysX says, 1 times: EnvIds requested but gpu dynamic is disabled.",

@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("ovphysx")
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.scenes.model import ModelScene, model_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.schemas.model_files import pack
 from tests.recorder import engines

@@ -20,7 +20,7 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.probes.gpu import Gpus, Processes
-from gpusimbench.recorder.probes.memory import MemorySampler
+from gpusimbench.recorder.probes.sampling import MemorySampler
 from gpusimbench.recorder.probes.software import describe_software, package_list
 from gpusimbench.recorder.run.engine import apply_environment
 from gpusimbench.schemas import topics

@@ -14,7 +14,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.cli import main
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.recorder.trials.trials import parse_trials
+from gpusimbench.recorder.trials.real import parse_trials
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trial_units import extent_of, unit_doubt
 from tests.conftest import Command

@@ -22,7 +22,7 @@ from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Inertial, Mater
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.evidence import AWAKE_BODIES, CONTACTS
-from gpusimbench.recorder.simulators.sapien import released, settings
+from gpusimbench.recorder.simulators.sapien import settings
 from gpusimbench.recorder.simulators.sapien.arm import principal_axes
 from gpusimbench.recorder.simulators.sapien.bodies import make_component
 from gpusimbench.recorder.simulators.sapien.complaints import OVERFLOW_BITS, Complaints, bits_of
@@ -328,22 +328,22 @@ def test_the_release_is_known_by_its_library(tmp_path: Path) -> None:
     import sapien
     from sapien import physx
 
-    found = released.library()
+    found = settings.library()
     assert found is not None
-    digest = released.sha256(found)
-    assert released.modification(sapien.__version__, physx.version(), digest) == ""
+    digest = settings.sha256(found)
+    assert settings.modification(sapien.__version__, physx.version(), digest) == ""
     changed = tmp_path / "libsapien.so"
     changed.write_bytes(found.read_bytes()[:-1] + b"?")
-    other = released.sha256(changed)
+    other = settings.sha256(changed)
     assert re.fullmatch(
         r"libsapien\.so has SHA-256 [0-9a-f]{12}, which is not that of the released SAPIEN 3\.0\.3",
-        released.modification("3.0.3", physx.version(), other),
+        settings.modification("3.0.3", physx.version(), other),
     )
-    assert "was not found" in released.modification("3.0.3", physx.version(), released.sha256(tmp_path / "none.so"))
-    assert released.modification("3.0.3", "5.8.0", digest).startswith(
+    assert "was not found" in settings.modification("3.0.3", physx.version(), settings.sha256(tmp_path / "none.so"))
+    assert settings.modification("3.0.3", "5.8.0", digest).startswith(
         "PhysX 5.8.0, where SAPIEN 3.0.3 is released with"
     )
-    assert "no release known here: SAPIEN 9.9.9" in released.modification("9.9.9", physx.version(), digest)
+    assert "no release known here: SAPIEN 9.9.9" in settings.modification("9.9.9", physx.version(), digest)
 
 
 def test_a_build_says_which_libraries_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -353,9 +353,9 @@ def test_a_build_says_which_libraries_it_has(monkeypatch: pytest.MonkeyPatch) ->
         switches = simulator.build().switches
     finally:
         simulator.close()
-    assert switches["libsapien_sha256"] == released.sha256(released.library())
+    assert switches["libsapien_sha256"] == settings.sha256(settings.library())
     assert "modified" not in switches
-    monkeypatch.setattr(released, "_LIBRARIES", {"3.0.3": frozenset({"0" * 64})})
+    monkeypatch.setattr(settings, "_LIBRARIES", {"3.0.3": frozenset({"0" * 64})})
     simulator = made(make_scene("free-fall"))
     try:
         assert simulator.build().switches["modified"].startswith("libsapien.so has SHA-256 ")

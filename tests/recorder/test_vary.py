@@ -18,9 +18,8 @@ from gpusimbench.recorder.run.vary import attachment, parse, variation
 from gpusimbench.recorder.scenes.base import Box, Scene, Sphere
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.scenes.variation import Variation, varied_items
-from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+from gpusimbench.recorder.simulators.mujoco.model import compile_scene, compile_varied, varied_fields
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
-from gpusimbench.recorder.simulators.mujoco.varied import compile_varied, varied_fields
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError

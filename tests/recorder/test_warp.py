@@ -65,7 +65,7 @@ def test_targets_are_drawn_on_the_device(seed: int, step: int, given_to: list[tu
     """Make on the device, bit for bit, the targets that the scene defines, also after the streams were exchanged."""
     import warp as wp
 
-    from gpusimbench.recorder.simulators.warp.actions import DeviceActions
+    from gpusimbench.recorder.simulators.warp.runtime import DeviceActions
 
     actions = franka().actions
     assert actions is not None
@@ -171,8 +171,8 @@ def test_a_device_that_is_not_there() -> None:
 
 def test_parameters_of_worlds() -> None:
     """Have of each world what MuJoCo compiles of its scene, also what it derives from masses and sizes."""
+    from gpusimbench.recorder.simulators.mujoco.model import compile_varied
     from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
-    from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
 
     scene = inclined_collision()
     drawn = variation("mass:0.1,friction:0.2,size:0.05", scene, n_env=3, seed=1)

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gpusimbench.recorder.capture.sink import Sink
-from gpusimbench.recorder.run import initial
+from gpusimbench.recorder.run import start
 from gpusimbench.recorder.run.flight_phase import FlightPhase
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.scenes.registry import make_scene
@@ -52,7 +52,7 @@ def _flown(built: tuple[Simulator, Description], path: Path, c: RunConfiguration
     if c.initial:
         first = tuple(np.array(array) for array in simulator.state())
         drawn = Initial.parse(c.initial)
-        simulator.set_state(initial.states(drawn, simulator.scene, description.fields, first, c.seed))
+        simulator.set_state(start.drawn_states(drawn, simulator.scene, description.fields, first, c.seed))
     flight = type(simulator).flight
     sink = Sink(path, compression="none")
     try:

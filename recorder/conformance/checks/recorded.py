@@ -7,8 +7,8 @@ import hashlib
 import numpy as np
 
 from gpusimbench.recorder.conformance.checks.agreement import expect_repeatable
-from gpusimbench.recorder.conformance.recording import RecordedRun
 from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.trajectory import RecordedRun
 from gpusimbench.recorder.conformance.verdict import NotApplicable, expect, fail
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas import topics

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from gpusimbench.recorder.scenes.base import Material, Robot, Scene
 from gpusimbench.schemas.provenance import Deviation
 
@@ -35,6 +37,15 @@ def one_friction(material: Material, why: str) -> Deviation:
 def other_restitution(material: Material, used: str, why: str) -> Deviation:
     """What stands for the material's coefficient of restitution."""
     return Deviation(f"{material.name}.restitution", str(material.restitution), used, why)
+
+
+def springs(materials: Iterable[Material], friction: str, used: str, why: str) -> list[Deviation]:
+    """Where contacts are springs, two deviations of each material: `one_friction`, and `other_restitution`.
+
+    friction, why  their reasons
+    used           in the place of the coefficient of restitution
+    """
+    return [said for one in materials for said in (one_friction(one, friction), other_restitution(one, used, why))]
 
 
 def rest_offset(offset: float) -> list[Deviation]:

@@ -10,8 +10,7 @@ from gpusimbench.recorder.scenes.emit.deviations import (
     LARGER,
     combination,
     materials_and_robot,
-    one_friction,
-    other_restitution,
+    springs,
     unlimited_speed,
 )
 from gpusimbench.schemas.provenance import Deviation
@@ -168,16 +167,13 @@ def deviations(scene: Scene) -> tuple[Deviation, ...]:
     contacts are damped springs (solref, solimp).
     """
     found = [combination("friction", LARGER, "MuJoCo's rule for a pair of geoms of equal priority")]
-    for material in materials_and_robot(scene):
-        found += [
-            one_friction(material, "MuJoCo has one friction coefficient; the kinetic one is used"),
-            other_restitution(
-                material,
-                "0 (critically damped contacts)",
-                "MuJoCo has no coefficient of restitution; underdamped contacts of this stiffness gain energy at "
-                "a step of 0.01 s",
-            ),
-        ]
+    found += springs(
+        materials_and_robot(scene),
+        "MuJoCo has one friction coefficient; the kinetic one is used",
+        "0 (critically damped contacts)",
+        "MuJoCo has no coefficient of restitution; underdamped contacts of this stiffness gain energy at a step of "
+        "0.01 s",
+    )
     if scene.robot is not None:
         found.append(unlimited_speed(scene.robot, "MuJoCo's joints have no velocity limit"))
     return tuple(found)

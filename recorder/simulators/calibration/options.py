@@ -7,7 +7,6 @@ import string
 from dataclasses import dataclass
 
 from gpusimbench.recorder.options import require
-from gpusimbench.recorder.simulators.calibration.faults import FAULTS
 
 REGIMES = ("identical", "offset", "order", "run-order", "atomics")
 
@@ -19,6 +18,22 @@ BY_RUN = ("order", "run-order")
 
 DIGITS = 16
 """Of an entropy, at most."""
+
+FAULTS = {
+    "none": "nothing is planted",
+    "number": "at step `at`, all are moved, by as many times `ulps` as there are environments",
+    "slot": "at step `at`, environment e is moved by e times `ulps`",
+    "neighbours": "from step `at` on, an environment is moved after each step that leaves an odd number of set bits in "
+    "the velocities of the next one",
+    "poison": "where one is given a state that is not finite, the others are moved",
+    "bystanders": "where some are reset, the others are moved",
+    "fresh": "where some are reset, they begin moved",
+    "restored": "what is restored is moved",
+    "process": "what is restored in a process that has made no step is moved",
+    "set": "what is given a state after the first step is moved",
+    "capture": "what is stepped without being captured is moved",
+}
+"""What can be planted, one for each question of gsb-probe: what makes a result depend on what should not matter."""
 
 _DEVICES = ("auto", "cpu", "cuda")
 
@@ -38,7 +53,7 @@ class CalibrationOptions:
     entropy   what a run that differs from others draws: run (anew in each process), build (anew in each build), or
               hexadecimal digits after the point of a number from 0 to 1
     fault     planted for gsb-probe, in regime identical, of the size `ulps`: none, number, slot, neighbours, poison,
-              bystanders, fresh, restored, process, set or capture (calibration/faults.py says what each does)
+              bystanders, fresh, restored, process, set or capture (FAULTS in its options.py says what each does)
     device    auto, cpu or cuda (the first GPU that CUDA shows)
 
     Without a shift in metres or ulps, the cause of differences is rounding.

@@ -1,20 +1,24 @@
-"""What N environments on Genesis have in common, whatever they hold."""
+"""What N environments on Genesis have in common, whatever they hold; and how much room their contact buffers get,
+counted on MuJoCo C, which Genesis brings along."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.simulators.buffer_sizes import measure
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
-from gpusimbench.recorder.simulators.genesis.sizes import Sizes
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.fields import StateField
+
+_MARGIN = 2.0  # over MuJoCo's contact points: Genesis has most while bodies that just touch settle into each other
 
 
 @dataclass(frozen=True)
@@ -146,3 +150,34 @@ def _rigid_options(genesis: Any, options: GenesisOptions, sizes: Sizes) -> dict[
     if options.broadphase != "auto":
         chosen["broadphase_traversal"] = genesis.broadphase_traversal[options.broadphase]
     return chosen
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Room in one environment.
+
+    pairs        colliding pairs of shapes
+    contacts     contact points that the solver takes
+    pairs_by     how `pairs` came about, in words
+    contacts_by  how `contacts` came about, in words
+    """
+
+    pairs: int
+    contacts: int
+    pairs_by: str
+    contacts_by: str
+
+
+def choose_sizes(compiled: MjcfModel, *, dt: float, seed: int, options: GenesisOptions) -> Sizes:
+    """Room for what MuJoCo C needs of the same scene, and a margin; options that ask for a size get it.
+
+    Pairs are those whose bounding spheres overlap, which are more than those that touch.
+    """
+    need = measure(compiled, dt=dt, seed=seed)
+    of_contacts = replace(need, margin=max(_MARGIN, need.margin))
+    return Sizes(
+        pairs=options.max_collision_pairs or need.size(need.pairs),
+        contacts=options.max_contacts or of_contacts.size(need.contacts),
+        pairs_by="asked for" if options.max_collision_pairs else need.sized_by(need.pairs),
+        contacts_by="asked for" if options.max_contacts else of_contacts.sized_by(need.contacts),
+    )

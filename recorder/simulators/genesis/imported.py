@@ -17,12 +17,11 @@ from mujoco import mjtDisableBit, mjtEq, mjtGeom, mjtJoint
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.genesis.controls import Controls
-from gpusimbench.recorder.simulators.genesis.environments import Drive, Environments, empty_scene, on_device
+from gpusimbench.recorder.simulators.genesis.environments import Drive, Environments, Sizes, empty_scene, on_device
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
-from gpusimbench.recorder.simulators.genesis.sizes import Sizes
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, collides, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import own_options
 from gpusimbench.recorder.simulators.snapshot import Envs

@@ -14,9 +14,15 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.scenes.base import Body, Box, Plane, Scene, Sphere
 from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
 from gpusimbench.recorder.simulators.captured import States
-from gpusimbench.recorder.simulators.genesis.environments import Drive, Environments, empty_scene, index_of, on_device
+from gpusimbench.recorder.simulators.genesis.environments import (
+    Drive,
+    Environments,
+    Sizes,
+    empty_scene,
+    index_of,
+    on_device,
+)
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
-from gpusimbench.recorder.simulators.genesis.sizes import Sizes
 from gpusimbench.recorder.simulators.mujoco.layout import rotate_to_body
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.fields import StateField, body_fields, joint_field

@@ -1,19 +1,18 @@
-"""States and counts of steps, kept on the device in rows of tensors."""
+"""States and counts of steps, kept on the device in rows of torch's tensors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.genesis.environments import Environments
 from gpusimbench.recorder.simulators.genesis.watch import COUNTERS, Watch
-from gpusimbench.recorder.simulators.slots import Shapes, Slot, SlotBlock, Slots
+from gpusimbench.recorder.simulators.slots import Host, Shapes, Slot, Slots
 
 _ERRORS = "error_codes"
 """Counts have the names of their counters, states those that environments give them."""
@@ -60,26 +59,43 @@ class Rows:
             tensors[counter.name][row] = counted
         self._watch.tell(tensors[_ERRORS][row])
 
-    def split(self, rows: Callable[[str], NDArray[Any]], envs: slice) -> States:
+    def split(self, rows: Host, envs: slice) -> States:
         """States [row, env of the range, item, width] from rows by name: views where the order is the same."""
         return self._model.split({name: rows(name)[:, envs] for name in self._model.parts()})
 
-    def evidence(self, rows: Callable[[str], NDArray[Any]]) -> Evidence:
+    def evidence(self, rows: Host) -> Evidence:
         """Counts and bits [row, env] from rows by name; the counts are these arrays, not copies."""
         return Evidence({counter.name: rows(counter.name) for counter in COUNTERS}, rows(_ERRORS).astype(np.uint32))
 
 
-class GenesisBlock(SlotBlock):
-    """Steps of Genesis on their way to a recording."""
+class TorchSlots(Slots):
+    """Slots on a torch device."""
 
-    def __init__(self, slots: Slots, slot: Slot, rows: int, kept: Rows) -> None:
-        super().__init__(slots, slot, rows)
-        self._kept = kept
+    def __init__(self, device: Any, shapes: Shapes) -> None:
+        """device  torch.device
+        shapes  with torch's dtypes
+        """
+        import torch
 
-    def states(self, envs: slice) -> States:
-        """See Captured.states."""
-        return self._kept.split(self.host, envs)
+        on_gpu = device.type == "cuda"
+        self._device = device
+        self._copying: Any = torch.cuda.Stream(device) if on_gpu else None
+        super().__init__(shapes, pinned=on_gpu)
 
-    def evidence(self) -> Evidence:
-        """See Captured.evidence."""
-        return self._kept.evidence(self.host)
+    def _allocated(self, shape: tuple[int, ...], dtype: Any, *, pinned: bool) -> Any:
+        import torch
+
+        return torch.empty(shape, dtype=dtype, device="cpu" if pinned else self._device, pin_memory=pinned)
+
+    def _copy(self, slot: Slot, rows: int) -> Any:
+        import torch
+
+        self._copying.wait_stream(torch.cuda.current_stream(self._copying.device))
+        with torch.cuda.stream(self._copying):
+            for name, array in slot.arrays.items():
+                slot.host[name][:rows].copy_(array[:rows], non_blocking=True)
+        # a thread that waits for a blocking event leaves the processor to those that write
+        return self._copying.record_event(slot.copied or torch.cuda.Event(blocking=True))
+
+    def _wait_for(self, event: Any) -> None:
+        event.synchronize()

@@ -18,21 +18,19 @@ from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.captured import Captured
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.genesis import runtime
-from gpusimbench.recorder.simulators.genesis.deviations import deviations
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
-from gpusimbench.recorder.simulators.genesis.transfer import TorchSlots
-from gpusimbench.recorder.simulators.slots import Slot, Slots, Slotted
+from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots, Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 
 if TYPE_CHECKING:
-    from gpusimbench.recorder.simulators.genesis.sizes import Sizes
+    from gpusimbench.recorder.simulators.genesis.environments import Sizes
 
 _SLOT_ROWS = 50
 _SLOT_BYTES = 256 << 20  # the recorder asks for blocks of at most 128 MiB of states; counts come on top
@@ -91,6 +89,7 @@ class Genesis(Slotted):
         options: GenesisOptions = self.options
         compiled = self._compiled(options)
         genesis = self._genesis = runtime.start(options, deterministic=_LEVELS[self.determinism], seed=self.seed)
+        from gpusimbench.recorder.simulators.genesis.deviations import deviations
         from gpusimbench.recorder.simulators.genesis.keep import Keep
         from gpusimbench.recorder.simulators.genesis.ring import Rows
         from gpusimbench.recorder.simulators.genesis.watch import COUNTERS, Watch, buffers
@@ -133,7 +132,7 @@ class Genesis(Slotted):
 
     def _make(self, compiled: Any, options: GenesisOptions) -> Sizes:
         """Build the environments; how much room their contacts have."""
-        from gpusimbench.recorder.simulators.genesis.sizes import choose_sizes
+        from gpusimbench.recorder.simulators.genesis.environments import choose_sizes
 
         sizes = choose_sizes(compiled, dt=self.dt, seed=self.seed, options=options)
         common: dict[str, Any] = {"n_env": self.n_env, "dt": self.dt, "options": options, "sizes": sizes}
@@ -153,8 +152,8 @@ class Genesis(Slotted):
         self._imported: Imported | None = None
         if not isinstance(self.scene, ModelScene):
             return []
+        from gpusimbench.recorder.simulators.genesis.deviations import deviations_of_model
         from gpusimbench.recorder.simulators.genesis.made import held
-        from gpusimbench.recorder.simulators.genesis.model_deviations import deviations_of_model
 
         self._imported = held(self._model, dt=self.dt)
         return deviations_of_model(self._model, self._imported, options)
@@ -212,6 +211,8 @@ class Genesis(Slotted):
         """See Simulator.reserve; longer blocks are made in parts."""
         rows = max(1, min(n_step, _SLOT_ROWS, _SLOT_BYTES // self._rows.row_bytes()))
         if self._slots is None or self._slots.rows < rows:
+            from gpusimbench.recorder.simulators.genesis.ring import TorchSlots
+
             self._slots = TorchSlots(self._genesis.device, self._rows.shapes(rows))
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
@@ -268,14 +269,12 @@ class Genesis(Slotted):
 
     def _fill(self, slots: Slots, slot: Slot, n_step: int) -> Captured:
         """See Slotted: Genesis looks at its error codes at every tenth substep, and waits then."""
-        from gpusimbench.recorder.simulators.genesis.ring import GenesisBlock
-
         for row in range(n_step):
             self._advance()
             self._rows.store_state(slot.arrays, row)
             self._rows.store_evidence(slot.arrays, row)
-        slot.begin_copy(n_step)
-        return GenesisBlock(slots, slot, n_step, self._rows)
+        slots.begin_copy(slot, n_step)
+        return SlotBlock(slots, slot, n_step, split=self._rows.split, told=self._rows.evidence)
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:

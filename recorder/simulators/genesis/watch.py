@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS
-from gpusimbench.recorder.simulators.genesis.sizes import Sizes
+from gpusimbench.recorder.simulators.genesis.environments import Sizes
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 BROAD_PAIRS = Counter("broad_phase_pairs", "pairs of shapes that the broad phase let through")

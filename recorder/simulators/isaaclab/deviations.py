@@ -3,15 +3,8 @@
 from __future__ import annotations
 
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.emit.deviations import (
-    LARGER,
-    combination,
-    materials,
-    one_friction,
-    other_restitution,
-    rest_offset,
-)
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.emit.deviations import LARGER, combination, materials, rest_offset, springs
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.isaaclab.scene import BODY_LIMITS
 from gpusimbench.recorder.simulators.physx.deviations import patch_friction
@@ -58,14 +51,10 @@ def _physx(options: IsaacLabOptions) -> tuple[Deviation, ...]:
 
 
 def _newton(scene: Scene) -> tuple[Deviation, ...]:
-    found = [combination("friction", LARGER, "rule of MuJoCo Warp")]
-    for material in materials(scene):
-        found += [
-            one_friction(material, "Newton has one friction coefficient a shape; Isaac Lab gives it the kinetic one"),
-            other_restitution(
-                material,
-                "none of its own",
-                "MuJoCo Warp has no coefficient of restitution: contacts are damped springs",
-            ),
-        ]
-    return tuple(found)
+    said = springs(
+        materials(scene),
+        "Newton has one friction coefficient a shape; Isaac Lab gives it the kinetic one",
+        "none of its own",
+        "MuJoCo Warp has no coefficient of restitution: contacts are damped springs",
+    )
+    return (combination("friction", LARGER, "rule of MuJoCo Warp"), *said)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.buffer_sizes import measure
 from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS, Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions

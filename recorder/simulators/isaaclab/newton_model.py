@@ -6,13 +6,25 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.emit.usd import Apis, literal
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.newton.imported import Imported as Places
-from gpusimbench.recorder.simulators.newton.solver_made import deviations_of_solver, quantities_of_solver
+from gpusimbench.recorder.simulators.newton.made import (
+    Quantities,
+    as_mujoco_has_it,
+    bodies_of_solver,
+    body_names,
+    different,
+    different_contacts,
+    different_options,
+    joint_name,
+    single_joints,
+)
 from gpusimbench.recorder.simulators.physx.made import Held, imported_of
 from gpusimbench.recorder.simulators.physx.model import Model
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
@@ -22,6 +34,15 @@ from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.text import few
+
+_NAMED = 4  # in a deviation
+_REASON = "so Isaac Lab, Newton's importer and SolverMuJoCo make it"
+_COMPARED = "not read by name; what differs is among the deviations of a recording, and the kinematics compare frames"
+
+_LAST = {int(mujoco.mjtJoint.mjJNT_FREE): 5, int(mujoco.mjtJoint.mjJNT_BALL): 2}
+"""Of degrees of freedom of a joint, the last; 0 of others."""
+
+_LIMITS = {"solref": "joints.limit_solref", "solimp": "joints.limit_solimp", "margin": "joints.margin"}
 
 
 class MuJoCoWords:
@@ -73,11 +94,6 @@ def _numbers(numbers: dict[str, Any]) -> list[str]:
 
 def _array(name: str, numbers: Iterable[Any]) -> str:
     return f"double[] mjc:{name} = [{', '.join(literal(float(number)) for number in numbers)}]"
-
-
-_NAMED = 4  # in a deviation
-_REASON = "so Isaac Lab, Newton's importer and SolverMuJoCo make it"
-_COMPARED = "not read by name; what differs is among the deviations of a recording, and the kinematics compare frames"
 
 
 class NewtonModel(Model):
@@ -167,3 +183,71 @@ def _ends_with(places: dict[str, int], end: str) -> int:
     if len(found) != 1:
         raise GsbError(f"Newton has {len(found)} of what the stage calls {end}")
     return found[0]
+
+
+def quantities_of_solver(solver: Any, imported: Places, model: Any) -> Quantities:
+    """As made.as_mujoco_has_it, of what SolverMuJoCo steps, the first of its worlds. Bodies that are not in it never
+    move: their rows are those of `model`, the mujoco.MjModel that MuJoCo itself makes of the file."""
+    at, own = bodies_of_solver(solver, imported), as_mujoco_has_it(solver.mj_model)
+    found = as_mujoco_has_it(model)
+    there = [body for body in range(1, model.nbody) if (at == body).any()]
+    of_bodies = [int(np.flatnonzero(at == body)[0]) - 1 for body in there]
+    singles, rows = list(single_joints(solver.mj_model)), _numbers_of_joints(solver, imported, model)
+    of_joints = [singles.index(rows[joint]) for joint in single_joints(model)]
+    reference = model.qpos0[model.jnt_qposadr[single_joints(model)]][:, None]  # positions are zero there
+    sprung = model.jnt_stiffness[single_joints(model)][:, None] != 0
+    for quantity, rows_of in found.items():
+        if quantity.startswith("bodies."):
+            rows_of[[body - 1 for body in there]] = own[quantity][of_bodies]
+            continue
+        found[quantity] = own[quantity][of_joints]
+        if quantity == "joints.range":
+            found[quantity] = found[quantity] + reference
+        if quantity == "joints.spring_reference":
+            found[quantity] = found[quantity] + np.where(sprung, reference, 0.0)
+    for word, parameter in _LIMITS.items():
+        found[parameter] = _columns(getattr(solver.mj_model, f"jnt_{word}"))[[rows[j] for j in single_joints(model)]]
+    return found
+
+
+def deviations_of_solver(solver: Any, imported: Places, model: Any, reason: str) -> list[Deviation]:
+    """Where what SolverMuJoCo steps is not as MuJoCo compiles a file, but for actuators, tendons and equalities, which
+    it is not given.
+
+    imported  where bodies and joints are in Newton's model; bodies that are in none, and more bodies, may be
+    """
+    made = solver.mj_model
+    items = {"bodies": body_names(model), "joints": [joint_name(model, j) for j in single_joints(model)]}
+    used = quantities_of_solver(solver, imported, model)
+    said: list[Deviation] = []
+    for quantity, wanted in as_mujoco_has_it(model).items():
+        said += different(quantity, items[quantity.partition(".")[0]], (wanted, used[quantity]), reason)
+    singles = single_joints(model)
+    limited = np.flatnonzero(model.jnt_limited[singles])
+    names = [joint_name(model, singles[row]) for row in limited]
+    for word, parameter in _LIMITS.items():
+        wanted = _columns(getattr(model, f"jnt_{word}"))[singles[limited]]
+        said += different(parameter, names, (wanted, used[parameter][limited]), reason)
+    rows = _numbers_of_joints(solver, imported, model)
+    free = [int(joint) for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)]
+    for word in ("armature", "damping", "frictionloss"):
+        wanted, have = (
+            np.array([getattr(m, f"dof_{word}")[m.jnt_dofadr[j] : m.jnt_dofadr[j] + 6] for j in joints]).reshape(-1, 6)
+            for m, joints in ((model, free), (made, [rows[joint] for joint in free]))
+        )
+        said += different(f"joints.{word}", [joint_name(model, joint) for joint in free], (wanted, have), reason)
+    springs = [m.jnt_stiffness[joints][:, None] for m, joints in ((model, free), (made, [rows[j] for j in free]))]
+    said += different("joints.stiffness", [joint_name(model, joint) for joint in free], springs, reason)
+    said += different_options(model, made, reason)
+    return [*said, *different_contacts(model, made, bodies_of_solver(solver, imported), reason, unordered=True)]
+
+
+def _columns(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    return array[:, None] if array.ndim == 1 else array
+
+
+def _numbers_of_joints(solver: Any, imported: Places, model: Any) -> list[int]:
+    """By number of the model's joints, SolverMuJoCo's, which it knows by the last of their degrees of freedom."""
+    dofs = solver.mjc_jnt_to_newton_dof.numpy()[0][: solver.mj_model.njnt]
+    last = [_LAST.get(int(kind), 0) for kind in model.jnt_type]
+    return [int(np.flatnonzero(dofs == start + more)[0]) for start, more in zip(imported.at_qd, last, strict=True)]

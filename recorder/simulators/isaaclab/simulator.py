@@ -19,14 +19,13 @@ from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.captured import Captured, States
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.recorder.simulators.isaaclab.block import STATES, IsaacLabBlock
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS
-from gpusimbench.recorder.simulators.slots import Slot, Slots, Slotted
+from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots, Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
@@ -36,6 +35,7 @@ from gpusimbench.schemas.provenance import Deviation
 
 _OLDEST = 3  # before it, quaternions were wxyz, and nothing ran without Isaac Sim
 _ROWS = 50
+_STATES = ("positions", "velocities")  # the arrays of a slot, in the order of World.state
 _ROW_BYTES = 128 << 20  # of all rows
 _POSES, _SPEEDS = "body_link_pose_w", "body_com_vel_w"
 _BODY = 4 * (7 + 6)  # bytes of a body's pose and speeds
@@ -190,7 +190,7 @@ class IsaacLab(Slotted):
 
     def _make_world(self) -> Any:
         from gpusimbench.recorder.simulators.isaaclab.articulations import ModelWorld
-        from gpusimbench.recorder.simulators.isaaclab.bodies import BodyWorld
+        from gpusimbench.recorder.simulators.isaaclab.world import BodyWorld
 
         common: dict[str, Any] = {
             "n_env": self.n_env, "dt": self.dt, "options": self.options, "device": str(self._device)
@@ -245,7 +245,7 @@ class IsaacLab(Slotted):
 
         rows = min(n_step, self._rows())
         if self._slots is None or self._slots.rows < rows:
-            shapes = zip(STATES, (array.shape for array in self._world.state()), strict=True)
+            shapes = zip(_STATES, (array.shape for array in self._world.state()), strict=True)
             self._slots = WarpSlots(self._device, {name: ((rows, *shape), wp.float32) for name, shape in shapes})
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
@@ -291,7 +291,7 @@ class IsaacLab(Slotted):
         import warp as wp
 
         self.compile("capture")
-        kept = [wp.to_torch(slot.arrays[name]) for name in STATES]
+        kept = [wp.to_torch(slot.arrays[name]) for name in _STATES]
         self._physics.rewind()
         for row in range(n_step):
             self._world.step()
@@ -299,10 +299,15 @@ class IsaacLab(Slotted):
                 rows[row].copy_(array)
             self._physics.store()
         self._wait()  # torch's copies, which have a stream of their own, too
-        slot.begin_copy(n_step)
+        slots.begin_copy(slot, n_step)
         self._made += n_step
         self._counted, self._stepped = self._physics.evidence(n_step), False
-        return IsaacLabBlock(slots, slot, n_step, self._world, self._counted)
+        world, counted = self._world, self._counted
+        return SlotBlock(
+            slots, slot, n_step,
+            split=lambda host, envs: world.split(*(host(name)[:, envs] for name in _STATES)),
+            told=lambda host: counted,
+        )  # fmt: skip
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:

@@ -1,4 +1,4 @@
-"""The user's simulator module: found, asked for what it promises, and held to it.
+"""The user's simulator module: named by options, found, asked for what it promises, and held to it.
 
 The obligations are those of the table in docs/madrona.md, under the same names; every error names the one that is not
 met.
@@ -9,18 +9,23 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from gpusimbench.recorder.failure import Refused, cause_of
+from gpusimbench.recorder.options import require
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.deviations import combination, materials, other_restitution
-from gpusimbench.recorder.simulators.madrona.options import VARIABLE, MadronaOptions
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import Deviation
+
+VARIABLE = "GSB_MADRONA_MODULE"
+"""Environment variable with the module's import name, for when the option `module` is not given."""
 
 CONTRACT = "docs/madrona.md"
 REQUIRED_SETTINGS = ("solver", "num_substeps", "delta_t", "gravity", "restitution", "friction_combination")
@@ -32,6 +37,35 @@ HONOURED = "scene"
 """What the setting `restitution` says where each contact has the scene's own."""
 
 _FLOAT32 = 1e-6  # relative: a module keeps its numbers in float32
+
+
+@dataclass(frozen=True)
+class MadronaOptions:
+    """Options of Madrona.
+
+    module        import name of your simulator module; empty: what GSB_MADRONA_MODULE says
+    device        cpu, cuda (the first GPU) or cuda:N
+    num_substeps  of the solver in a step; 0: as many as the module has by itself
+    """
+
+    module: str = ""
+    device: str = "cpu"
+    num_substeps: int = 0
+
+    def __post_init__(self) -> None:
+        kind, colon, index = self.device.partition(":")
+        if self.device not in ("cpu", "cuda") and not (kind == "cuda" and colon and index.isdecimal()):
+            raise ValueError(f"device is cpu, cuda or cuda:N, not '{self.device}'")
+        require(self, (lambda v: v >= 0, "0 (the module's own) or more"), "num_substeps")
+
+    @property
+    def gpu(self) -> int | None:
+        """Number of the GPU that is asked for; None for the CPU."""
+        return None if self.device == "cpu" else int(self.device.partition(":")[2] or 0)
+
+    def module_name(self) -> str:
+        """The module's import name, of the option or else of the environment; empty where neither names one."""
+        return self.module or os.environ.get(VARIABLE, "")
 
 
 def breach(module: str, obligation: str, what: str) -> UsageError:

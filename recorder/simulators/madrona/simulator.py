@@ -14,8 +14,7 @@ from gpusimbench.recorder.abilities import BODIES
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import CONTACTS, Evidence
 from gpusimbench.recorder.simulators.madrona.columns import HostColumns, TorchColumns
-from gpusimbench.recorder.simulators.madrona.module import SimulatorModule, breach
-from gpusimbench.recorder.simulators.madrona.options import MadronaOptions
+from gpusimbench.recorder.simulators.madrona.module import MadronaOptions, SimulatorModule, breach
 from gpusimbench.schemas.fields import StateField, body_fields
 from gpusimbench.schemas.provenance import MODIFIED
 

@@ -145,7 +145,7 @@ def load(
     if impl == "warp":
         return _for_warp(compiled, n_env=n_env, dt=dt, seed=seed, options=options)
     from gpusimbench.recorder.simulators.mjx import caps as mjx_caps
-    from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
+    from gpusimbench.recorder.simulators.mujoco.model import compile_varied
 
     caps = mjx_caps.choose(
         compiled,
@@ -286,7 +286,7 @@ def model_fields(model: Any, models: Sequence[Any]) -> dict[str, NDArray[Any]]:
     """
     from mujoco import mjx
 
-    from gpusimbench.recorder.simulators.mujoco.varied import varied_fields
+    from gpusimbench.recorder.simulators.mujoco.model import varied_fields
 
     known = {field.name for field in fields(mjx.Model)}
     found = {name: array for name, array in varied_fields(model, models).items() if name in known}

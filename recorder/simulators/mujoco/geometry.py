@@ -14,8 +14,7 @@ import numpy as np
 from mujoco import mjtDisableBit, mjtGeom, mjtJoint
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.scenes.model.contents import moving
-from gpusimbench.recorder.scenes.model.scene import BALLS, BODIES, JOINTS
+from gpusimbench.recorder.scenes.model import BALLS, BODIES, JOINTS, moving
 from gpusimbench.schemas.view.geometry import MAX_SHAPES
 from gpusimbench.schemas.view.shapes import MAX_LINKS
 

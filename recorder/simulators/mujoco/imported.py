@@ -55,6 +55,20 @@ _RANGES = {
     "actuators/force_range": ("actuator_forcelimited", "actuator_forcerange"),
     "actuators/activation_range": ("actuator_actlimited", "actuator_actrange"),
 }
+_OF_BODIES = {"bodies/parent": "body_parentid", "joints/body": "jnt_bodyid", "geoms/body": "geom_bodyid"}
+_OF_LIMITS = {"joints/limit_solref": "jnt_solref", "joints/limit_solimp": "jnt_solimp", "joints/margin": "jnt_margin"}
+_OF_DOFS = {
+    "joints/damping": "dof_damping", "joints/armature": "dof_armature", "joints/frictionloss": "dof_frictionloss",
+}  # fmt: skip
+_OF_KINDS = {  # of joints, and the kinds of which it has a meaning: others turn about nothing
+    "joints/anchor": ("jnt_pos", (mjtJoint.mjJNT_HINGE, mjtJoint.mjJNT_BALL)),
+    "joints/axis": ("jnt_axis", (mjtJoint.mjJNT_HINGE, mjtJoint.mjJNT_SLIDE)),
+}
+_WORDS = {
+    "joints/type": ("jnt_type", mjtJoint), "geoms/type": ("geom_type", mjtGeom), "equalities/type": ("eq_type", mjtEq),
+    "actuators/gain_type": ("actuator_gaintype", mjtGain), "actuators/bias_type": ("actuator_biastype", mjtBias),
+    "actuators/dynamics_type": ("actuator_dyntype", mjtDyn),
+}  # fmt: skip
 _DATA = {  # of an equality constraint, how many of its numbers have a meaning
     mjtEq.mjEQ_CONNECT: 6, mjtEq.mjEQ_WELD: 11, mjtEq.mjEQ_JOINT: 5, mjtEq.mjEQ_TENDON: 5,
 }  # fmt: skip
@@ -154,48 +168,31 @@ class _Reader:
             return self._read(f"opt.{name}").reshape(1, -1)
         if field := _PLAIN.get(kind, {}).get(name):
             return self._read(field)
-        if pair := _RANGES.get(f"{kind}/{name}"):
+        key = f"{kind}/{name}"
+        if pair := _RANGES.get(key):
             limited, found = (self._read(field) for field in pair)
             return np.where(limited.reshape(-1, 1).astype(bool), found, [[-np.inf, np.inf]])
+        if field := _OF_BODIES.get(key):
+            return [self._body[int(body)] for body in self._read(field)]
+        if field := _OF_LIMITS.get(key):
+            limited = self._read("jnt_limited").astype(bool).reshape(-1, 1)
+            return np.where(limited, self._read(field).reshape(len(limited), -1), np.nan)
+        if field := _OF_DOFS.get(key):
+            values, of = self._read(field), self._read("dof_jntid")
+            return np.array([_first(values[of == joint], _DOFS) for joint in range(len(self._joint))])
+        if key in _OF_KINDS:
+            field, kinds = _OF_KINDS[key]
+            meant = np.isin(self._read("jnt_type"), [int(one) for one in kinds])
+            return np.where(meant[:, np.newaxis], self._read(field), np.nan)
+        if key in _WORDS:
+            field, words = _WORDS[key]
+            return [_word(words, number) for number in self._read(field)]
         rows: NDArray[Any] | Sequence[Any] = getattr(self, f"_{kind}_{name}")()
         return rows
-
-    def _bodies_parent(self) -> Sequence[str]:
-        return [self._body[int(parent)] for parent in self._read("body_parentid")]
 
     def _bodies_inertia(self) -> NDArray[np.float64]:
         moments, turned = self._read("body_inertia"), self._read("body_iquat")
         return np.array([tensor(row, quat) for row, quat in zip(moments, turned, strict=True)])
-
-    def _joints_type(self) -> Sequence[str]:
-        return [_word(mjtJoint, kind) for kind in self._read("jnt_type")]
-
-    def _joints_body(self) -> Sequence[str]:
-        return [self._body[int(body)] for body in self._read("jnt_bodyid")]
-
-    def _joints_anchor(self) -> NDArray[np.float64]:
-        return self._of_kinds("jnt_pos", mjtJoint.mjJNT_HINGE, mjtJoint.mjJNT_BALL)  # others turn about nothing
-
-    def _joints_axis(self) -> NDArray[np.float64]:
-        return self._of_kinds("jnt_axis", mjtJoint.mjJNT_HINGE, mjtJoint.mjJNT_SLIDE)
-
-    def _of_kinds(self, field: str, *kinds: mjtJoint) -> NDArray[np.float64]:
-        # NaN for joints of other kinds, of which it has no meaning
-        meant = np.isin(self._read("jnt_type"), [int(kind) for kind in kinds])
-        return np.where(meant[:, np.newaxis], self._read(field), np.nan)
-
-    def _joints_limit_solref(self) -> NDArray[np.float64]:
-        return self._of_limits("jnt_solref")
-
-    def _joints_limit_solimp(self) -> NDArray[np.float64]:
-        return self._of_limits("jnt_solimp")
-
-    def _joints_margin(self) -> NDArray[np.float64]:
-        return self._of_limits("jnt_margin")
-
-    def _of_limits(self, field: str) -> NDArray[np.float64]:
-        limited = self._read("jnt_limited").astype(bool).reshape(-1, 1)
-        return np.where(limited, self._read(field).reshape(len(limited), -1), np.nan)
 
     def _joints_reference(self) -> Sequence[float]:
         return self._of_single("qpos0")
@@ -211,25 +208,6 @@ class _Reader:
         return [
             float(values[int(at)]) if int(kind) in single else np.nan for kind, at in zip(kinds, places, strict=True)
         ]
-
-    def _joints_damping(self) -> NDArray[np.float64]:
-        return self._of_dofs("dof_damping")
-
-    def _joints_armature(self) -> NDArray[np.float64]:
-        return self._of_dofs("dof_armature")
-
-    def _joints_frictionloss(self) -> NDArray[np.float64]:
-        return self._of_dofs("dof_frictionloss")
-
-    def _of_dofs(self, field: str) -> NDArray[np.float64]:
-        values, of = self._read(field), self._read("dof_jntid")
-        return np.array([_first(values[of == joint], _DOFS) for joint in range(len(self._joint))])
-
-    def _geoms_type(self) -> Sequence[str]:
-        return [_word(mjtGeom, kind) for kind in self._read("geom_type")]
-
-    def _geoms_body(self) -> Sequence[str]:
-        return [self._body[int(body)] for body in self._read("geom_bodyid")]
 
     def _geoms_size(self) -> NDArray[np.float64]:
         kinds, sizes = self._read("geom_type"), self._read("geom_size")
@@ -273,9 +251,6 @@ class _Reader:
             return f"pulley {parameter:.6g}"
         return f"geom {self._geom[number]}" if 0 <= number < len(self._geom) else _word(mjtWrap, kind)
 
-    def _equalities_type(self) -> Sequence[str]:
-        return [_word(mjtEq, kind) for kind in self._read("eq_type")]
-
     def _equalities_objects(self) -> Sequence[str]:
         return [self._objects(index) for index in range(len(self.names["equalities"]))]
 
@@ -309,15 +284,6 @@ class _Reader:
         }.get(kind, ())
         named = of[number] if 0 <= number < len(of) else str(number)
         return f"{_word(mjtTrn, kind)} {named}"
-
-    def _actuators_gain_type(self) -> Sequence[str]:
-        return [_word(mjtGain, kind) for kind in self._read("actuator_gaintype")]
-
-    def _actuators_bias_type(self) -> Sequence[str]:
-        return [_word(mjtBias, kind) for kind in self._read("actuator_biastype")]
-
-    def _actuators_dynamics_type(self) -> Sequence[str]:
-        return [_word(mjtDyn, kind) for kind in self._read("actuator_dyntype")]
 
 
 def tensor(moments: NDArray[Any], orientation: NDArray[Any]) -> NDArray[np.float64]:

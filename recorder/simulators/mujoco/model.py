@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +12,17 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.mjcf import deviations, emit_mjcf
-from gpusimbench.recorder.scenes.model.contents import choices, keyframe_of, moving
-from gpusimbench.recorder.scenes.model.scene import BALLS, BODIES, JOINTS, ModelScene, compiled
+from gpusimbench.recorder.scenes.model import (
+    BALLS,
+    BODIES,
+    JOINTS,
+    ModelScene,
+    choices,
+    compiled,
+    keyframe_of,
+    moving,
+)
+from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.mujoco.geometry import geometry_of
 from gpusimbench.recorder.simulators.mujoco.layout import Balls, FreeBodies, Joints, Part, rotate_to_body
@@ -194,3 +203,33 @@ def _compile_files(scene: ModelScene, *, dt: float, options: MjcfOptions, numeri
 
 def _text(values: Iterable[float]) -> str:
     return " ".join(np.format_float_positional(value, trim="-") for value in values)
+
+
+def compile_varied(
+    scene: Scene,
+    variation: Variation | None,
+    *,
+    n_env: int,
+    dt: float,
+    options: MjcfOptions,
+    numerics: dict[str, str] | None = None,
+) -> list[Any]:
+    """A mujoco.MjModel for each environment, none where no parameter varies; arguments as of compile_scene.
+
+    So MuJoCo's own compiler derives for every engine what depends on masses and sizes, such as the inverse weights of
+    constraints.
+    """
+    if variation is None:
+        return []
+    scenes = (variation.of(scene, env) for env in range(n_env))
+    return [compile_scene(one, dt=dt, options=options, numerics=numerics).model for one in scenes]
+
+
+def varied_fields(model: Any, models: Sequence[Any]) -> dict[str, NDArray[Any]]:
+    """The fields of MjModel in which any of some models differs from a model of the same structure: [env, ...]."""
+    names = [name for name in dir(model) if not name.startswith("_") and isinstance(getattr(model, name), np.ndarray)]
+    return {
+        name: np.stack([getattr(other, name) for other in models])
+        for name in names
+        if any(not np.array_equal(getattr(model, name), getattr(other, name)) for other in models)
+    }

@@ -55,8 +55,7 @@ class MujocoC(Simulator):
         """See Simulator.build."""
         import mujoco
 
-        from gpusimbench.recorder.simulators.mujoco.model import KNOWS_AUTORESET, compile_scene
-        from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
+        from gpusimbench.recorder.simulators.mujoco.model import KNOWS_AUTORESET, compile_scene, compile_varied
         from gpusimbench.recorder.simulators.mujoco.worlds import BatchWorlds, make_worlds
 
         options: MujocoOptions = self.options

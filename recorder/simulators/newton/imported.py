@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.model.scene import BALLS, BODIES, JOINTS, ModelScene
+from gpusimbench.recorder.scenes.model import BALLS, BODIES, JOINTS, ModelScene
 from gpusimbench.recorder.simulators.mujoco.layout import Part
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 from gpusimbench.recorder.simulators.newton.layout import ModelLayout, NewtonBalls, NewtonFreeBodies, NewtonJoints

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.model.contents import choices, solver_options
+from gpusimbench.recorder.scenes.model import choices, solver_options
 from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.schemas.provenance import Deviation

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector, solid_inertia
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 from gpusimbench.recorder.simulators.newton.imported import Imported, import_files
 from gpusimbench.recorder.simulators.newton.layout import BodyLayout, Layout

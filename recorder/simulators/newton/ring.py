@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.newton.layout import Layout
 from gpusimbench.recorder.simulators.newton.watch import Watch
 from gpusimbench.recorder.simulators.newton.worlds import Worlds
-from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots
+from gpusimbench.recorder.simulators.slots import Host
 from gpusimbench.schemas.provenance import Counter
 
 STATES = ("positions", "velocities")
@@ -39,7 +38,12 @@ def row_bytes(worlds: Worlds, watch: Watch) -> int:
     return int(states + 4 * worlds.n_env * (1 + len(watch.counters)))
 
 
-def evidence_of(counters: Sequence[Counter], rows: Callable[[str], NDArray[np.int32]]) -> Evidence:
+def states_of(layout: Layout, n_env: int, rows: Host, envs: slice) -> States:
+    """States [row, env of the range, item, width] from rows by name: copies."""
+    return layout.split(*(a.reshape(len(a), n_env, -1)[:, envs] for a in map(rows, STATES)))
+
+
+def evidence_of(counters: Sequence[Counter], rows: Host) -> Evidence:
     """rows  by name, [row, world]; the counts are these arrays, not copies"""
     return Evidence({counter.name: rows(counter.name) for counter in counters}, rows(_BITS).astype(np.uint32))
 
@@ -81,24 +85,3 @@ class Ring:
         self._watch.count(self._row, self._counts)
         inputs = [self._row, self._watch.bits, self._arrays[_BITS]]
         wp.launch(kernels.store_bits, dim=self._worlds.n_env, inputs=inputs)
-
-
-class NewtonBlock(SlotBlock):
-    """States and counts of steps in a slot, as a Ring has stored them."""
-
-    def __init__(
-        self, slots: Slots, slot: Slot, rows: int, n_env: int, layout: Layout, counters: Sequence[Counter]
-    ) -> None:
-        super().__init__(slots, slot, rows)
-        self._n_env = n_env
-        self._layout = layout
-        self._counters = counters
-
-    def states(self, envs: slice) -> States:
-        """See Captured.states: copies."""
-        stored = (self.host(name) for name in STATES)
-        return self._layout.split(*(a.reshape(len(a), self._n_env, -1)[:, envs] for a in stored))
-
-    def evidence(self) -> Evidence:
-        """See Captured.evidence."""
-        return evidence_of(self._counters, self.host)

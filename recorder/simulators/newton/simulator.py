@@ -21,14 +21,14 @@ from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.captured import Captured
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.mujoco.options import own_options, replacement
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, MUJOCO_SOLVERS, NewtonOptions
 from gpusimbench.recorder.simulators.newton.steps import BLOCK, Steps
-from gpusimbench.recorder.simulators.slots import Slot, Slots, Slotted
+from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots, Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
@@ -160,8 +160,7 @@ class Newton(Slotted):
         return (*(() if self.options.solver == "mujoco" else known), *own)
 
     def _make_worlds(self, n_env: int) -> Any:
-        from gpusimbench.recorder.simulators.newton.controls import ModelControls
-        from gpusimbench.recorder.simulators.newton.worlds import Worlds
+        from gpusimbench.recorder.simulators.newton.worlds import ModelControls, Worlds
 
         with self._refusals():
             worlds = Worlds(
@@ -337,15 +336,20 @@ class Newton(Slotted):
         given.ctrl.assign(controls.astype(np.float32).ravel())
 
     def _fill(self, slots: Slots, slot: Slot, n_step: int) -> Captured:
-        from gpusimbench.recorder.simulators.newton.ring import NewtonBlock
+        from gpusimbench.recorder.simulators.newton.ring import evidence_of, states_of
 
         assert self._storing is not None
         self._ring.go_to(slot.first)
         self._made += n_step
         self._counted = None
         self._storing.enqueue(n_step)
-        slot.begin_copy(n_step)
-        return NewtonBlock(slots, slot, n_step, self.n_env, self._world.layout, self._watch.counters)
+        slots.begin_copy(slot, n_step)
+        layout, counters = self._world.layout, self._watch.counters
+        return SlotBlock(
+            slots, slot, n_step,
+            split=lambda host, envs: states_of(layout, self.n_env, host, envs),
+            told=lambda host: evidence_of(counters, host),
+        )  # fmt: skip
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence."""

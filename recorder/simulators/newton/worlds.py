@@ -1,24 +1,84 @@
-"""N worlds in Newton: the model, its solver, its collision detection and its two states."""
+"""N worlds in Newton: the model, its solver, its collision detection, its two states, and the controls of a model's
+actuators."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
-from gpusimbench.recorder.simulators.newton.controls import ModelControls
+from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.recorder.simulators.newton.model import World, build_model
 from gpusimbench.recorder.simulators.newton.options import JOINT_SPACE, NewtonOptions
 from gpusimbench.recorder.simulators.newton.solvers import Sizes, make_solver, register
 from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.recorder.simulators.warp import worlds
+from gpusimbench.recorder.simulators.warp.runtime import DeviceActions
+from gpusimbench.schemas.action_generator import Streams
 
 _STATE = ("body_q", "body_qd", "joint_q", "joint_qd")
 """Arrays of a newton.State that a step may read; forces are cleared before it."""
+
+
+class ModelControls:
+    """Controls of n_env worlds, on the device.
+
+    Solver mujoco has MuJoCo's actuators, which are given their controls. The other solvers have joint forces, and a
+    servo at each hinge and slide: of MuJoCo's actuators they can be given those whose force is their control, and
+    position and velocity servos of a joint.
+
+    ctrl   [env, actuator] on the device
+    drawn  where they come from
+    """
+
+    def __init__(
+        self, scene: Scene, seed: int, streams: Streams, imported: Imported, mujoco_model: Any, control: Any,
+        options: NewtonOptions, n_env: int,
+    ) -> None:  # fmt: skip
+        """Refused where the solver cannot be given an actuator, or the importer left one out.
+
+        mujoco_model  the same model as MuJoCo compiles it
+        control       newton.Control
+        """
+        import warp as wp
+
+        assert scene.actions is not None
+        self.drawn = DeviceActions(scene.actions, seed, streams)
+        self._driven: list[Any] = []
+        if options.solver == "mujoco":
+            flat = control.mujoco.ctrl
+            if flat.size != n_env * mujoco_model.nu:
+                raise Refused(
+                    f"Newton's importer takes {flat.size // n_env} of the model's {mujoco_model.nu} actuators"
+                )
+            self.ctrl = flat.reshape((n_env, mujoco_model.nu))
+            return
+        self.ctrl = wp.zeros((n_env, mujoco_model.nu), dtype=float)
+        places = Places(imported.at_q, imported.at_qd, imported.builder.joint_dof_count)
+        engine = f"solver '{options.solver}' of Newton"
+        made = drives(mujoco_model, places, engine, remedy="use --option solver=mujoco")
+        self._inputs = [wp.array(getattr(made, one.name)) for one in fields(made)]
+        arrays = control.joint_f, control.joint_target_q, control.joint_target_qd
+        self._driven = [array.reshape((n_env, -1)) for array in arrays]
+
+    def enqueue(self) -> None:
+        """Enqueue: the controls of the next step, and what they do."""
+        import warp as wp
+
+        from gpusimbench.recorder.simulators.newton import kernels
+
+        self.drawn.enqueue(self.ctrl)
+        if self._driven:
+            shape = self._driven[0].shape
+            wp.launch(kernels.drive_joints, dim=shape, inputs=[self.ctrl, *self._inputs], outputs=self._driven)
 
 
 class Worlds:

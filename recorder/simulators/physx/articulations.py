@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Vector
 from gpusimbench.recorder.scenes.emit.usd import env_path
-from gpusimbench.recorder.scenes.model.scene import BODIES, ModelScene
+from gpusimbench.recorder.scenes.model import BODIES, ModelScene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.mujoco.layout import Part
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 from gpusimbench.recorder.simulators.newton.layout import ModelLayout, NewtonFreeBodies, NewtonJoints
 from gpusimbench.recorder.simulators.physx import libraries
-from gpusimbench.recorder.simulators.physx.grid import every
 from gpusimbench.recorder.simulators.physx.servos import TARGETS, Driven
-from gpusimbench.recorder.simulators.physx.session import Session
+from gpusimbench.recorder.simulators.physx.session import Session, every
 from gpusimbench.recorder.simulators.physx.trees import Plan, Tree
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.errors import GsbError

@@ -12,8 +12,7 @@ from gpusimbench.recorder.scenes.base import Scene, Vector
 from gpusimbench.recorder.scenes.emit.usd import env_path, prim_names
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.physx import libraries
-from gpusimbench.recorder.simulators.physx.grid import every
-from gpusimbench.recorder.simulators.physx.session import Session
+from gpusimbench.recorder.simulators.physx.session import Session, every
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_fields

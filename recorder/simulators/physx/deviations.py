@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.deviations import combination, rest_offset, unlimited_speed
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.physx.options import NO_THRESHOLD, PhysxOptions
 from gpusimbench.schemas.provenance import Deviation
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.scenes.model.contents import solver_options
+from gpusimbench.recorder.scenes.model import solver_options
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
 from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.newton.made import Quantities, as_mujoco_has_it, different

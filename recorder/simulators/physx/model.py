@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Vector
 from gpusimbench.recorder.scenes.emit.usd import Apis
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import own_options

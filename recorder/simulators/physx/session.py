@@ -1,8 +1,13 @@
-"""One instance of PhysX with one stage: from USD to columns of numbers."""
+"""One instance of PhysX with one stage: from USD to columns of numbers; what it says while it runs, which is the only
+sign of contacts that it dropped; and where its environments stand."""
 
 from __future__ import annotations
 
+import logging
+import math
+import re
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,15 +16,94 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.scenes.base import Vector
+from gpusimbench.recorder.scenes.base import Plane, Scene, Vector
 from gpusimbench.recorder.scenes.emit.usd import env_path
 from gpusimbench.recorder.simulators.physx import libraries
-from gpusimbench.recorder.simulators.physx.log import NativeLog
+from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.writing import write_pieces
 
+_LOGGER = "gpusimbench.recorder.simulators.physx"
+
+_DROPPED = re.compile(
+    r"buffer overflow detected|have been dropped|will miss interactions|collide with all environments"
+    r"|accept dropped contacts|ran out of buffer space|falling back to (CPU|default parameters)",
+    re.IGNORECASE,
+)
+"""Lines of PhysX's GPU library that mean that steps did not do all of their work, whatever their level.
+
+"Contact buffer overflow detected, ...", "Patch buffer overflow detected, ...", "PxGpuDynamicsMemoryConfig::
+collisionStackSize buffer overflow detected, ... Contacts have been dropped.", "The application needs to increase
+PxGpuDynamicsMemoryConfig::foundLostPairsCapacity to ..., otherwise, the simulation will miss interactions"; and of its
+clones: "the clone will collide with all environments". On the CPU: "ran out of buffer space for narrow phase", "Either
+accept dropped contacts". And what is not simulated as asked for: "falling back to CPU simulation", "to default
+parameters".
+"""
+
+
+_NUMBER = re.compile(r"\d+")
+
 _ORDINAL = 1  # of the one version of the stage that there is
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
+
+
+def is_fatal(level: int, text: str) -> bool:
+    """Whether a line makes a run worthless: an error of the engine's, or a sign of dropped contacts at any level."""
+    return level >= logging.ERROR or bool(_DROPPED.search(text))
+
+
+class NativeLog(logging.Handler):
+    """Keeps the fatal lines, each once, with how often it came. To be opened when an instance is there.
+
+    ovphysx hands every line of its process to one receiver, whatever its source, beside printing it. The receiver is
+    shut off with the last instance. Lines that differ in their numbers alone, such as sizes that a buffer would need,
+    are one; the first is kept.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self._fatal: Counter[str] = Counter()
+        self._first: dict[str, str] = {}  # line without its numbers -> line
+        self._logger = logging.getLogger(_LOGGER)
+
+    def open(self) -> None:
+        """Begin to listen."""
+        import ovphysx
+
+        self._logger.setLevel(logging.WARNING)
+        self._logger.propagate = False  # the engine prints its lines itself
+        self._logger.addHandler(self)
+        ovphysx.set_log_level(ovphysx.LogLevel.WARNING)
+        ovphysx.enable_python_logging(_LOGGER, min_severity=ovphysx.LogLevel.WARNING)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Take a line; called from the engine's threads, one at a time."""
+        text = " ".join(record.getMessage().split())
+        if is_fatal(record.levelno, text):
+            self._fatal[self._first.setdefault(_NUMBER.sub("#", text), text)] += 1
+
+    def take(self) -> list[str]:
+        """The fatal lines since the last call, one sentence each, once all that were said have arrived."""
+        import ovphysx
+
+        ovphysx.flush_log()
+        found, self._fatal, self._first = self._fatal, Counter(), {}
+        return [f"PhysX says, {count} times: {text}" for text, count in found.items()]
+
+    def peek(self) -> list[str]:
+        """The same, left for the next call of `take`."""
+        import ovphysx
+
+        ovphysx.flush_log()
+        return list(self._fatal)
+
+    def close(self) -> None:
+        """Stop listening."""
+        import ovphysx
+
+        self._logger.removeHandler(self)
+        ovphysx.disable_python_logging()
+        super().close()
 
 
 class Session:
@@ -150,3 +234,32 @@ class Session:
             self._stage = None
         self.log.close()
         self.physx.destroy()
+
+
+def grid_origins(n_env: int, spacing: float) -> tuple[Vector, ...]:
+    """Origin of each environment [m]: on a square grid, numbered square by square, so that they do not depend on how
+    many there are. Empty where the spacing is 0."""
+    return tuple((spacing * x, spacing * y, 0.0) for x, y in map(_cell, range(n_env))) if spacing else ()
+
+
+def every(n_env: int, envs: Envs) -> range | list[int]:
+    """The environments that are meant."""
+    return range(n_env) if envs is None else [int(env) for env in envs]
+
+
+def _cell(env: int) -> tuple[int, int]:
+    # the first n * n fill a square: cell (n, 0) .. (n, n) and then (n - 1, n) .. (0, n) make the next one
+    side = math.isqrt(env)
+    rest = env - side * side
+    return (side, rest) if rest <= side else (2 * side - rest, side)
+
+
+def shared_bodies(scene: Scene, spacing: float) -> tuple[str, ...]:
+    """Names of the fixed bodies of which one serves all environments: all of them where the spacing is 0, else planes.
+
+    A plane has no edge: every environment would meet those of all others.
+    """
+    fixed = [body for body in scene.bodies if body.fixed]
+    if not spacing:
+        return tuple(body.name for body in fixed)
+    return tuple(body.name for body in fixed if isinstance(body.shape, Plane))

@@ -22,10 +22,9 @@ from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.captured import Captured, States
-from gpusimbench.recorder.simulators.physx import grid
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS, OF_THE_GPU, PhysxOptions, apis, broad_phase
 from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots, Slotted
@@ -35,25 +34,6 @@ from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer
-
-
-class PhysxBlock(SlotBlock):
-    """States of steps in a slot, as what gathers them has stored them."""
-
-    def __init__(self, slots: Slots, slot: Slot, rows: int, source: Any) -> None:
-        """source  the Bodies, Arms or Articulations"""
-        super().__init__(slots, slot, rows)
-        self._source = source
-
-    def states(self, envs: slice) -> States:
-        """See Captured.states."""
-        states: States = self._source.split(self.host("states"), envs)
-        return states
-
-    def evidence(self) -> None:
-        """See Captured.evidence: PhysX tells nothing."""
-        return
-
 
 _BLOCK_ROWS = 50
 _BLOCK_BYTES = 128 << 20
@@ -99,10 +79,10 @@ class Physx(Slotted):
         import warp as wp
 
         from gpusimbench.recorder.simulators.physx import arms, bodies, libraries
-        from gpusimbench.recorder.simulators.physx.session import Session
+        from gpusimbench.recorder.simulators.physx.session import Session, grid_origins, shared_bodies
         from gpusimbench.recorder.simulators.physx.sizes import choose_buffers
 
-        origins = grid.origins(self.n_env, options.spacing)
+        origins = grid_origins(self.n_env, options.spacing)
         buffers: tuple[Buffer, ...] = ()
         capacities: dict[str, int] = {}
         if gpu:
@@ -118,7 +98,7 @@ class Physx(Slotted):
             self._model = Model(self.scene, dt=self.dt)
             usd = self._model.usd(settings, spacing=options.spacing)
         else:
-            usd = emit_usd(self.scene, apis=settings, shared=grid.shared_bodies(self.scene, options.spacing))
+            usd = emit_usd(self.scene, apis=settings, shared=shared_bodies(self.scene, options.spacing))
         threads = options.threads or len(os.sched_getaffinity(0))
         libraries.load()
         session = self._session = Session(gpu=gpu, threads=threads)
@@ -255,8 +235,11 @@ class Physx(Slotted):
         for row in range(n_step):
             self._advance(1)
             self._source.store_step(slot.arrays["states"], row)
-        slot.begin_copy(n_step)
-        return PhysxBlock(slots, slot, n_step, self._source)
+        slots.begin_copy(slot, n_step)
+        source = self._source
+        return SlotBlock(
+            slots, slot, n_step, split=lambda host, envs: source.split(host("states"), envs), told=lambda host: None
+        )
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:

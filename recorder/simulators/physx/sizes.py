@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.base import Plane, Scene
-from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.physx.options import LARGEST, PhysxOptions
 from gpusimbench.schemas.provenance import Buffer
 

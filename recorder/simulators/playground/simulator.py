@@ -11,7 +11,7 @@ from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.simulators.jax.simulator import Physics
 from gpusimbench.recorder.simulators.mjx import physics as mjx_physics
 from gpusimbench.recorder.simulators.mjx.physics import IMPLEMENTATIONS, MjxModel, MjxOptions
-from gpusimbench.recorder.simulators.mjx.stepper import MjxSimulator
+from gpusimbench.recorder.simulators.mjx.simulator import MjxSimulator
 
 _SHIPPED = "CartpoleBalance"  # an environment of the package's own, whose configuration has the package's defaults
 

@@ -1,9 +1,15 @@
 """What SAPIEN has once a process: PhysX's library for GPUs, which its wheel leaves out and it would fetch unasked;
-and settings that it reads when a system or a body is made, set anew for every simulator."""
+settings that it reads when a system or a body is made, set anew for every simulator; and whether it computes with the
+libraries that its makers released.
+
+libsapien.so has PhysX for CPUs in it; PhysX for GPUs is a file of its own. A build of SAPIEN on another PhysX calls
+itself by the same version, so the libraries are told by their hashes.
+"""
 
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import platform
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,8 +18,48 @@ import numpy as np
 
 from gpusimbench.recorder.scenes.base import Vector
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
-from gpusimbench.recorder.simulators.sapien.released import PHYSX
 from gpusimbench.schemas.errors import UsageError
+
+PHYSX = "105.1-physx-5.3.1.patch0"
+"""The PhysX that is published beside the releases of SAPIEN below."""
+
+_LIBRARIES = {"3.0.3": frozenset({"57b9dbf776bd216a2a71c86c34fadeab12469cc9067f6bf2338234499d80f097"})}
+"""SHA-256 of libsapien.so by release: of the wheels on PyPI, x86-64, the same for every Python."""
+
+
+def library() -> Path | None:
+    """The libsapien.so beside the installed package; None where there is none."""
+    spec = find_spec("sapien")
+    if spec is None or spec.origin is None:
+        return None
+    site = Path(spec.origin).parent.parent
+    return next((path for path in (site / "sapien.libs").glob("libsapien*.so*")), None)
+
+
+def sha256(path: Path | None) -> str:
+    """Of a file, as hexadecimal digits; empty where there is no file."""
+    if path is None or not path.is_file():
+        return ""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def modification(version: str, physx: str, digest: str) -> str:
+    """How what is installed differs from SAPIEN as released, a clause; empty where it is the release.
+
+    version  of SAPIEN
+    physx    the version of PhysX that it says it has
+    digest   SHA-256 of libsapien.so, empty where it was not found
+    """
+    if version not in _LIBRARIES:
+        return f"no release known here: SAPIEN {version} with PhysX {physx}; known: {', '.join(_LIBRARIES)}"
+    if physx != PHYSX:
+        return f"PhysX {physx}, where SAPIEN {version} is released with {PHYSX}"
+    if digest not in _LIBRARIES[version]:
+        found = f"has SHA-256 {digest[:12]}" if digest else "was not found"
+        return f"libsapien.so {found}, which is not that of the released SAPIEN {version}"
+    return ""
+
 
 _PUBLISHED = "https://github.com/sapien-sim/physx-precompiled/releases/download"  # as in sapien/physx/__init__.py
 _ARCHIVES = {"x86_64": "linux-so.zip", "amd64": "linux-so.zip", "aarch64": "linux-aarch64-so.zip"}

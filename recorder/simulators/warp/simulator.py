@@ -21,14 +21,14 @@ from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS, Evidence
 from gpusimbench.recorder.simulators.flight import Flight, Watch
 from gpusimbench.recorder.simulators.mujoco.options import replacement
-from gpusimbench.recorder.simulators.slots import Slot, Slots, Slotted
+from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots, Slotted
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, picked
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
-from gpusimbench.recorder.simulators.warp.actions import DeviceActions
 from gpusimbench.recorder.simulators.warp.flight import WarpFlight
 from gpusimbench.recorder.simulators.warp.options import LEVELS, SETTINGS, WarpOptions
-from gpusimbench.recorder.simulators.warp.transfer import WarpBlock, WarpSlots, evidence_of
+from gpusimbench.recorder.simulators.warp.runtime import DeviceActions
+from gpusimbench.recorder.simulators.warp.transfer import WarpSlots, evidence_of
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
@@ -59,8 +59,7 @@ class MujocoWarp(Slotted):
         import warp as wp
 
         from gpusimbench.recorder.simulators.buffer_sizes import measure
-        from gpusimbench.recorder.simulators.mujoco.model import compile_scene
-        from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
+        from gpusimbench.recorder.simulators.mujoco.model import compile_scene, compile_varied
 
         compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)
         need = measure(compiled, dt=self.dt, seed=self.seed, varied=self.variation is not None)
@@ -315,13 +314,18 @@ class MujocoWarp(Slotted):
             self._drawn.step.zero_()
         self._counted = None
 
-    def _fill(self, slots: Slots, slot: Slot, n_step: int) -> WarpBlock:
+    def _fill(self, slots: Slots, slot: Slot, n_step: int) -> SlotBlock:
         one = self._recording[id(slot)]
         self._row.zero_()
         for _ in range(n_step):
             one()
-        slot.begin_copy(n_step)
-        return WarpBlock(slots, slot, n_step, self._compiled)
+        slots.begin_copy(slot, n_step)
+        compiled = self._compiled
+        return SlotBlock(
+            slots, slot, n_step,
+            split=lambda host, envs: compiled.split(host("qpos")[:, envs], host("qvel")[:, envs]),
+            told=lambda host: evidence_of(host("counts")), held="ctrl",
+        )  # fmt: skip
 
     def flight(self, watch: Watch) -> Flight:
         """See Simulator.flight."""

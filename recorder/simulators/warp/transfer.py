@@ -1,47 +1,14 @@
-"""Slots of Warp's arrays, and steps of MuJoCo Warp in them."""
+"""Slots of Warp's arrays, and the evidence in MuJoCo Warp's counts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS, Evidence
-from gpusimbench.recorder.simulators.slots import Shapes, Slot, SlotBlock, Slots
-
-
-class WarpSlot(Slot):
-    """A slot on a Warp device."""
-
-    def __init__(
-        self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any], device: Any, copying: Any
-    ) -> None:
-        """copying  the stream that copies; None on the CPU"""
-        super().__init__(first, arrays, host)
-        self._device = device
-        self._copying = copying
-        self._copied: Any = None
-
-    def begin_copy(self, rows: int) -> None:
-        """See Slot.begin_copy."""
-        if self._copying is None:
-            return
-        import warp as wp
-
-        self._copying.wait_event(self._device.stream.record_event())
-        for name, array in self.arrays.items():
-            wp.copy(self._host[name], array, count=rows * (array.size // array.shape[0]), stream=self._copying)
-        self._copied = self._copying.record_event(self._copied)
-
-    def wait(self) -> None:
-        """See Slot.wait."""
-        if self._copied is not None:
-            import warp as wp
-
-            wp.synchronize_event(self._copied)
+from gpusimbench.recorder.simulators.slots import Shapes, Slot, Slots
 
 
 class WarpSlots(Slots):
@@ -52,7 +19,7 @@ class WarpSlots(Slots):
         import warp as wp
 
         self._device = device
-        self._copying = wp.Stream(device) if device.is_cuda else None
+        self._copying: Any = wp.Stream(device) if device.is_cuda else None
         super().__init__(shapes, pinned=device.is_cuda)
 
     def _allocated(self, shape: tuple[int, ...], dtype: Any, *, pinned: bool) -> Any:
@@ -60,31 +27,18 @@ class WarpSlots(Slots):
 
         return wp.empty(shape, dtype=dtype, device="cpu" if pinned else self._device, pinned=pinned)
 
-    def _slot(self, first: int, arrays: Mapping[str, Any], host: Mapping[str, Any]) -> WarpSlot:
-        return WarpSlot(first, arrays, host, self._device, self._copying)
+    def _copy(self, slot: Slot, rows: int) -> Any:
+        import warp as wp
 
+        self._copying.wait_event(self._device.stream.record_event())
+        for name, array in slot.arrays.items():
+            wp.copy(slot.host[name], array, count=rows * (array.size // array.shape[0]), stream=self._copying)
+        return self._copying.record_event(slot.copied)
 
-class WarpBlock(SlotBlock):
-    """Positions, velocities, controls and counts of steps in a slot."""
+    def _wait_for(self, event: Any) -> None:
+        import warp as wp
 
-    def __init__(self, slots: Slots, slot: Slot, rows: int, compiled: Any) -> None:
-        """compiled  recorder.simulators.mujoco.model.MjcfModel, which knows where bodies are in qpos and qvel"""
-        super().__init__(slots, slot, rows)
-        self._compiled = compiled
-
-    def states(self, envs: slice) -> States:
-        """See Captured.states."""
-        qpos, qvel = (self.host(name)[:, envs] for name in ("qpos", "qvel"))
-        states: States = self._compiled.split(qpos, qvel)
-        return states
-
-    def actions(self, envs: slice) -> NDArray[np.float32] | None:
-        """See Captured.actions."""
-        return self.host("ctrl")[:, envs] if "ctrl" in self._slot.arrays else None
-
-    def evidence(self) -> Evidence:
-        """See Captured.evidence."""
-        return evidence_of(self.host("counts"))
+        wp.synchronize_event(event)
 
 
 def evidence_of(counts: NDArray[np.int32]) -> Evidence:

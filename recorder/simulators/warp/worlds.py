@@ -92,7 +92,7 @@ def model_fields(model: Any, models: Sequence[Any]) -> dict[str, NDArray[Any]]:
     """
     import mujoco_warp as mjw
 
-    from gpusimbench.recorder.simulators.mujoco.varied import varied_fields
+    from gpusimbench.recorder.simulators.mujoco.model import varied_fields
 
     known: dict[str, tuple[Any, ...]] = {field.name: getattr(field.type, "shape", ()) for field in fields(mjw.Model)}
     found = {name: array for name, array in varied_fields(model, models).items() if known.get(name)}
