@@ -22,17 +22,20 @@ from gpusimbench.schemas.view.shapes import MAX_LINKS
 _LEVEL = 1 - 1e-12  # of the normal's component along z
 
 
-def floors_of(model: Any) -> list[dict[str, float]]:
+def floors_of(model: Any) -> list[dict[str, Any]]:
     """Planes of a mujoco.MjModel that are level, never move, and collide with every free body or what hangs on it.
 
-    height  of the plane [m]
-    reach   no point of a free body, or of what hangs on it, is ever further from the body's origin [m]
+    height   of the plane [m]
+    reach    no point of a free body, or of what hangs on it, is ever further from the body's origin [m]
+    reaches  the same of each free body, by its name
     """
     if model.opt.disableflags & int(mjtDisableBit.mjDSBL_CONTACT | mjtDisableBit.mjDSBL_CONSTRAINT):
         return []
-    roots = [int(model.jnt_bodyid[joint]) for joint in moving(model, mjtJoint.mjJNT_FREE).joints]
+    free = moving(model, mjtJoint.mjJNT_FREE)
+    roots = [int(model.jnt_bodyid[joint]) for joint in free.joints]
     solids = [[g for g in range(model.ngeom) if root in _line(model, int(model.geom_bodyid[g]))] for root in roots]
-    reach = max((_reach(model, root, g) for root, some in zip(roots, solids, strict=True) for g in some), default=0.0)
+    reaches = [max((_reach(model, root, g) for g in of), default=0.0) for root, of in zip(roots, solids, strict=True)]
+    reach = max(reaches, default=0.0)
     if not all(solids) or not 0 < reach < math.inf:
         return []
     data = mujoco.MjData(model)
@@ -43,7 +46,11 @@ def floors_of(model: Any) -> list[dict[str, float]]:
         if not model.body_weldid[model.geom_bodyid[geom]] and data.geom_xmat[geom][8] >= _LEVEL
     ]
     return [
-        {"height": float(data.geom_xpos[plane][2]), "reach": reach}
+        {
+            "height": float(data.geom_xpos[plane][2]),
+            "reach": reach,
+            "reaches": dict(zip(free.names, reaches, strict=True)),
+        }
         for plane in planes
         if all(any(_collide(model, plane, geom) for geom in some) for some in solids)
     ]
