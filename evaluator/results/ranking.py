@@ -21,6 +21,7 @@ from gpusimbench.evaluator.results.timed_work import most_common, window_key
 from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, settings_asked
 from gpusimbench.evaluator.runs.labels import Given, labels, options_given
 from gpusimbench.schemas.configuration import deciding
+from gpusimbench.schemas.text import plural
 
 _DISTANCES = (Axis.EMD_TO_REAL, Axis.PARALLEL, Axis.RUN_TO_RUN)
 _NO_SWEEP = "needs a sweep over envs, by at least two simulators under the same conditions"
@@ -130,7 +131,11 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     )
     figures = [c.figures for c in contenders]
     used = {r.label for r in groups} | swept
-    others = _left_out(results, sweeps, used)
+    # gsb-probe makes many treated groups, whose names would fill a page
+    treated = {r.label for r in results if deciding(r.group.key.settings)} - used
+    others = _left_out(results, sweeps, used | treated)
+    if treated:
+        others.append(f"{plural(len(treated), 'group')} with --initial, --vary or --intervene")
     if others:
         notes.append(f"radar and guidelines leave out what ran under other conditions: {', '.join(others)}")
     return Comparison(contenders, radar(figures), tuple(guidelines(figures)), tuple(notes))
