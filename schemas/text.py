@@ -5,6 +5,8 @@ Nothing else is printed: `show` and `evaluator.render.console` take these and ma
 
 from __future__ import annotations
 
+import codecs
+import io
 import math
 import re
 import sys
@@ -15,6 +17,26 @@ from functools import cache
 
 live: AbstractContextManager[None] = nullcontext()
 """Entered whenever something is printed: it takes a line of schemas.commands.progress off the terminal."""
+
+
+SIGNS = "gpusimbench-signs"
+"""Of `codecs`: what a stream writes for a sign that its encoding does not have."""
+
+_IN_ASCII = {
+    "±": "+-", "µ": "u", "×": "x", "−": "-", "–": "-", "≤": "<=", "≥": ">=", "→": "->", "…": "...", "†": "+", "·": ".",
+    "°": " deg", "“": '"', "”": '"',
+    **dict(zip("▁▂▃▄▅▆▇█", "12345678", strict=True)), **{sign: f"^{n}" for n, sign in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")},
+}  # fmt: skip
+
+
+def _without_signs(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lacking = error.object[error.start : error.end]
+    return "".join(_IN_ASCII.get(s) or s.encode("ascii", "backslashreplace").decode() for s in lacking), error.end
+
+
+codecs.register_error(SIGNS, _without_signs)
 
 
 class Line(str):
@@ -77,6 +99,19 @@ def few(names: Sequence[str], most: int, what: str = "", *, by: str = ", ") -> s
     return by.join(shown) if len(names) <= most else f"{by.join(shown[:-1])} {shown[-1]}"
 
 
+def in_ranges(numbers: Sequence[int], *, at_most: int) -> str:
+    """Increasing numbers as "0, 3-5, 8", at most so many parts and then "..."."""
+    parts: list[list[int]] = []
+    for n in numbers:
+        if parts and n == parts[-1][-1] + 1:
+            parts[-1] = [parts[-1][0], n]
+        else:
+            parts.append([n, n])
+    # two neighbours are written one by one
+    said = [f"{a}" if a == b else f"{a}, {b}" if b == a + 1 else f"{a}\u2013{b}" for a, b in parts[:at_most]]
+    return ", ".join([*said, *(["..."] if len(parts) > at_most else [])])
+
+
 def plural(number: int, what: str, several: str = "", *, spec: str = "") -> str:
     """A number of things: "1 run", "2 runs".
 
@@ -112,6 +147,14 @@ def show(text: Line | Block, *, error: bool = False) -> None:
     with live:
         stream.write(text if isinstance(text, Block) else f"{text}\n")
         stream.flush()
+
+
+def write_every_sign() -> None:
+    """Have standard output and error write in ASCII what their encoding lacks, so that a terminal without ± still gets
+    its table; what has no such form becomes an escape."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=SIGNS)
 
 
 def show_document(text: str) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import codecs
-import io
 import os
 import shlex
 import sys
@@ -18,28 +16,10 @@ from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.commands.progress import Progress
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import redacted, shown_argument
-from gpusimbench.schemas.text import line, show
+from gpusimbench.schemas.text import line, show, write_every_sign
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.render.document import Document
-
-SIGNS = "gpusimbench-signs"
-"""Of `codecs`: what a stream writes for a sign that its encoding does not have."""
-
-_IN_ASCII = {
-    "±": "+-", "µ": "u", "×": "x", "−": "-", "–": "-", "≤": "<=", "≥": ">=", "→": "->", "…": "...", "†": "+", "·": ".",
-    "°": " deg", "“": '"', "”": '"',
-    **dict(zip("▁▂▃▄▅▆▇█", "12345678", strict=True)), **{sign: f"^{n}" for n, sign in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")},
-}  # fmt: skip
-
-
-def _without_signs(error: UnicodeError) -> tuple[str, int]:
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    return "".join(_IN_ASCII.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
-
-
-codecs.register_error(SIGNS, _without_signs)
 
 _NO_THREAD = "can't start new thread"
 """What Python says of a thread whose stack finds no memory."""
@@ -66,9 +46,7 @@ def enter(
     """
     given = sys.argv[1:] if argv is None else argv
     arguments = parser.parse_args(given)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors=SIGNS)  # a terminal without ± still gets its table
+    write_every_sign()
     try:
         with warnings.catch_warnings():
             # states may be of any size, or not finite: the results say so, and no library beside them

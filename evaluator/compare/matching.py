@@ -13,7 +13,7 @@ from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, not_
 from gpusimbench.evaluator.episodes.clusters import seed_of
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.metric import Axis
-from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, precisions
+from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.commands.suggestion import did_you_mean
@@ -187,8 +187,8 @@ def _differences(base: Group[Run], head: Group[Run]) -> tuple[str, ...]:
             found += _entries(json.loads(one or "{}"), json.loads(other or "{}"))
         elif field.name == "settings":
             found += _entries(*(key.told for key in keys))
-        elif field.name == "layout" and precisions(base.key) != precisions(head.key):
-            found.append(_arrow("precision", *(" and ".join(precisions(side.key)) for side in (base, head))))
+        elif field.name == "layout" and base.key.precisions != head.key.precisions:
+            found.append(_arrow("precision", *(" and ".join(side.key.precisions) for side in (base, head))))
         elif field.name in ("layout", "origins"):
             found.append(f"{field.name} of the states")
         elif field.name == "scene_hash":

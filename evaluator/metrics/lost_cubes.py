@@ -93,19 +93,19 @@ class Sinking:
 
         sank  <=>  z < top - radius at the end, and when z last fell below top, (x, y) was within low .. high
 
-    z is of the body's centre and radius half its diagonal, so that all of the body is beneath: soft contacts let a body
-    in by up to its own size for a few steps of an impact, and push it out again. (x, y) is that of the two rows before
-    and after the fall, and so of every point between them. What fell over the edge was outside of the support in one of
-    them, and is not counted, wherever it went later.
+    z is of the body's centre, and no point of the body is further from it than its radius, so that all of the body is
+    beneath: soft contacts let a body in by up to its own size for a few steps of an impact, and push it out again. (x,
+    y) is that of the two rows before and after the fall, and so of every point between them. What fell over the edge
+    was outside of the support in one of them, and is not counted, wherever it went later.
 
     sank   shape [env, item], after the rows fed so far
     since  row at which each went below the top for the last time, shape [env, item]; -1 where it did not sink
     """
 
-    def __init__(self, first: npt.NDArray[np.floating], supports: Sequence[Support], radius: float) -> None:
-        """Begin with the positions of the first row [m], shape [env, item, 3]."""
+    def __init__(self, first: npt.NDArray[np.floating], supports: Sequence[Support], radii: Array) -> None:
+        """Begin with the positions of the first row [m], shape [env, item, 3], and the bodies' radii [m], [item]."""
         self._supports = tuple(supports)
-        self._radius = radius
+        self._radii = radii
         self._before = np.asarray(first, dtype=np.float64)
         self._through = np.zeros((len(self._supports), *self._before.shape[:2]), dtype=bool)
         self._since = np.full(self._through.shape, -1, dtype=np.int64)
@@ -137,13 +137,16 @@ class Sinking:
 
     def _sank(self) -> npt.NDArray[np.bool_]:
         # by support, [support, env, item]
-        beneath = [self._before[..., 2] < support.top - self._radius for support in self._supports]
+        beneath = [self._before[..., 2] < support.top - self._radii for support in self._supports]
         return np.asarray(self._through & np.array(beneath, dtype=bool).reshape(self._through.shape))
 
 
-def may_have_sunk(position: npt.NDArray[np.floating], supports: Sequence[Support], radius: float) -> bool:
-    """Whether any body [m], shape [..., 3], is beneath a support: without one, none can have sunk."""
-    return any(bool((np.asarray(position)[..., 2] < support.top - radius).any()) for support in supports)
+def may_have_sunk(position: npt.NDArray[np.floating], supports: Sequence[Support], radii: Array) -> bool:
+    """Whether any body [m], shape [..., item, 3], is beneath a support: without one, none can have sunk.
+
+    radii  [m], shape [item]
+    """
+    return any(bool((np.asarray(position)[..., 2] < support.top - radii).any()) for support in supports)
 
 
 def _within(planar: Array, support: Support) -> npt.NDArray[np.bool_]:

@@ -5,11 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from gpusimbench.evaluator.metrics.lost_cubes import Board, Support
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.trial_units import Extent, extent_of
+
+Array = npt.NDArray[np.float64]
 
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
 _FAR_M = 1e6
@@ -40,22 +46,31 @@ def supports_of(recording: Recording) -> tuple[Support, ...]:
     """
     try:
         bodies = [b for b in checks.objects(recording.scene, "bodies") if b.get("mass") is None]
-        floors = [_ground(height) for height, _ in _floors(recording)]
+        floors = [
+            _ground(checks.number(floor, "height", -_FAR_M, _FAR_M))
+            for floor in checks.objects(recording.geometry or {}, "floors")
+        ]
         return tuple(floors + [support for body in bodies if (support := _support(body))])
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path}: {error}") from None
 
 
-def radius_of(recording: Recording, group: str) -> float:
-    """Half the diagonal of the largest box of a group of bodies, or how far a model's free bodies reach [m]; 0 where
-    there is neither."""
+def radii_of(recording: Recording, field: StateField) -> Array:
+    """How far each body of a field of positions reaches from its centre, or a model's free body, with what hangs on it,
+    from its origin [m], shape [item]; 0 where its shape is not known. DamagedRecording where one is unreadable."""
+    found: dict[str, float] = {}
+    reach = 0.0
     try:
-        bodies = [b for b in checks.objects(recording.scene, "bodies") if b.get("group") == group]
-        shapes = [shape for body in bodies if (shape := checks.mapping(body, "shape")).get("kind") == "box"]
-        halves = [math.hypot(*checks.vector(s.get("size"), 3, "a box's size")) / 2 for s in shapes]
-        return max([*halves, *(reach for _, reach in _floors(recording))], default=0.0)
+        for body in checks.objects(recording.scene, "bodies"):
+            if body.get("group") == field.group:
+                found[checks.text(body, "name")] = _radius(checks.mapping(body, "shape"))
+        for floor in checks.objects(recording.geometry or {}, "floors"):
+            reach = max(reach, checks.number(floor, "reach", 0.0, _FAR_M))
+            reaches = checks.mapping(floor, "reaches")
+            found.update({name: checks.number(reaches, name, 0.0, _FAR_M) for name in reaches})
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path}: {error}") from None
+    return np.array([found.get(name, reach) for name in field.items])
 
 
 def extent_of_trials(recording: Recording, group: str) -> Extent | None:
@@ -66,12 +81,16 @@ def extent_of_trials(recording: Recording, group: str) -> Extent | None:
         raise DamagedRecording(f"{recording.path}: {error}") from None
 
 
-def _floors(recording: Recording) -> list[tuple[float, float]]:
-    # of a model file: heights, and how far what stands on them reaches from its origin [m]
-    return [
-        (checks.number(floor, "height", -_FAR_M, _FAR_M), checks.number(floor, "reach", 0.0, _FAR_M))
-        for floor in checks.objects(recording.geometry or {}, "floors")
-    ]
+def _radius(shape: dict[str, Any]) -> float:
+    match shape.get("kind"):
+        case "box":
+            return math.hypot(*checks.vector(shape.get("size"), 3, "a box's size")) / 2
+        case "sphere":
+            return checks.number(shape, "radius", 0.0, _FAR_M)
+        case "capsule":
+            half = checks.number(shape, "length", 0.0, _FAR_M) / 2
+            return half + checks.number(shape, "radius", 0.0, _FAR_M)
+    return 0.0
 
 
 def _ground(height: float) -> Support:

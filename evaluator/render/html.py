@@ -318,7 +318,9 @@ def _gallery(block: Gallery) -> Markup:
 
 
 def _figure(block: Figure) -> Markup:
-    drawn, named, files = block.svg or _EMPTY, _EMPTY, _EMPTY
+    drawn, named, files = _EMPTY, _EMPTY, _EMPTY
+    if block.svg:
+        drawn = Markup('<div class="drawn">{}</div>').format(block.svg)
     if block.svg and block.key:
         named = Markup(' data-file="{}"').format(block.file_name)
         files = _files(block)

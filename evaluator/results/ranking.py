@@ -20,6 +20,8 @@ from gpusimbench.evaluator.results.sweeps import Sweep, swept_only
 from gpusimbench.evaluator.results.timed_work import most_common, window_key
 from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, settings_asked
 from gpusimbench.evaluator.runs.labels import Given, labels, options_given
+from gpusimbench.schemas.configuration import deciding
+from gpusimbench.schemas.text import plural
 
 _DISTANCES = (Axis.EMD_TO_REAL, Axis.PARALLEL, Axis.RUN_TO_RUN)
 _NO_SWEEP = "needs a sweep over envs, by at least two simulators under the same conditions"
@@ -83,15 +85,16 @@ class _Parts:
 def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: Reference | None) -> Comparison:
     """Radar and guidelines.
 
-    Speed and distances on another device or scene, at another number of environments or step mean something else. Of
-    the conditions that at least two simulators share, the one with the most groups is compared; of several, the one
-    with the most distances, then the first. The same for sweeps, of scenes without a robot and with one, which have to
-    share the timed steps as well. Where sweeps are shared, throughput and memory are those at each simulator's own
-    N_env^max, as the published definition has it; a sweep that ended below the largest number tried, though nothing
-    failed, says nothing of its simulator's. Without sweeps, throughput is compared among the groups that were timed
-    over the steps that most were timed over; distances do not depend on what was timed. Settings of one simulator are
-    no choice between simulators, and what says of itself that it is an instrument is not ranked at all. A simulator
-    whose runs are INVALID, or break mechanics or a law in closed form, in any scene earns no pick.
+    Speed and distances on another device or scene, at another number of environments or step, from other initial
+    states, with varied parameters or an intervention mean something else. Of the conditions that at least two
+    simulators share, runs that were left alone come first, then the condition with the most groups is compared; of
+    several, the one with the most distances, then the first. The same for sweeps, of scenes without a robot and with
+    one, which have to share the timed steps as well. Where sweeps are shared, throughput and memory are those at each
+    simulator's own N_env^max, as the published definition has it; a sweep that ended below the largest number tried,
+    though nothing failed, says nothing of its simulator's. Without sweeps, throughput is compared among the groups that
+    were timed over the steps that most were timed over; distances do not depend on what was timed. Settings of one
+    simulator are no choice between simulators, and what says of itself that it is an instrument is not ranked at all. A
+    simulator whose runs are INVALID, or break mechanics or a law in closed form, in any scene earns no pick.
     """
     aside = dict.fromkeys(r.group.key.simulator for r in results if is_instrument(r.group.key))
     results = [r for r in results if not is_instrument(r.group.key)]
@@ -128,7 +131,11 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     )
     figures = [c.figures for c in contenders]
     used = {r.label for r in groups} | swept
-    others = _left_out(results, sweeps, used)
+    # gsb-probe makes many treated groups, whose names would fill a page
+    treated = {r.label for r in results if deciding(r.group.key.settings)} - used
+    others = _left_out(results, sweeps, used | treated)
+    if treated:
+        others.append(f"{plural(len(treated), 'group')} with --initial, --vary or --intervene")
     if others:
         notes.append(f"radar and guidelines leave out what ran under other conditions: {', '.join(others)}")
     return Comparison(contenders, radar(figures), tuple(guidelines(figures)), tuple(notes))
@@ -140,12 +147,17 @@ def _shared(
     conditions: Callable[[GroupKey], Hashable],
     merit: Callable[[_T], int] = lambda _: 0,
 ) -> list[_T]:
-    """Those of the condition that most of them share, if at least two simulators do; of several, the one of merit."""
+    """Those of the condition that most of them share, if at least two simulators do; of several, the one of merit. Runs
+    that were left alone come before treated ones, of which there may be more."""
     alike: dict[Hashable, list[_T]] = {}
     for item in items:
         alike.setdefault(conditions(key(item)), []).append(item)
     shared = [found for found in alike.values() if len({key(item).simulator for item in found}) > 1]
-    return max(shared, key=lambda found: (len(found), sum(map(merit, found))), default=[])
+
+    def rank(found: list[_T]) -> tuple[bool, int, int]:
+        return not deciding(key(found[0]).settings), len(found), sum(map(merit, found))
+
+    return max(shared, key=rank, default=[])
 
 
 def _went_far_enough(sweeps: list[Sweep]) -> list[Sweep]:
@@ -178,7 +190,7 @@ def _left_out(results: Sequence[GroupResult], sweeps: Sequence[Sweep], used: set
 
 
 def _conditions(key: GroupKey) -> Hashable:
-    return (key.device, key.scene, key.scene_hash, key.n_env, key.dt)
+    return (key.device, key.scene, key.scene_hash, key.n_env, key.dt, deciding(key.settings))
 
 
 def _timed_alike(key: GroupKey) -> Hashable:

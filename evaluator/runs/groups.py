@@ -58,11 +58,32 @@ class GroupKey:
     origins: str
     settings: Settings = ()
 
-    @cached_property  # labels ask each key about each other
+    # labels ask each key about each other: what they ask for is parsed once
+    @cached_property
     def told(self) -> dict[str, Any]:
         """Every setting of TELLING by name, those that are empty included."""
         given = dict(self.settings)
         return {name: given.get(name, setting.key(setting.empty)) for name, setting in TELLING.items()}
+
+    @cached_property
+    def parsed_options(self) -> dict[str, Any]:
+        """`options` by name."""
+        return _parsed(self.options)
+
+    @cached_property
+    def parsed_settings(self) -> dict[str, Any]:
+        """`switches` and `options` by name; options before switches of one name."""
+        return {**_parsed(self.switches), **self.parsed_options}
+
+    @cached_property
+    def parsed_conditions(self) -> dict[str, Any]:
+        """`conditions` by name."""
+        return _parsed(self.conditions)
+
+    @cached_property
+    def precisions(self) -> list[str]:
+        """Of the states; empty where the run ended before they were known."""
+        return sorted({dtype for dtype, *_ in _parsed(self.layout).values()})
 
     def with_settings(self, **values: Any) -> GroupKey:
         """The same key with other settings: by name, each as `told` has it."""
@@ -268,12 +289,7 @@ def settings_asked(recordings: Sequence[Described]) -> GroupKey:
 
 def is_instrument(key: GroupKey) -> bool:
     """Whether this is a control with a known answer, as its adapter declares it among its switches."""
-    return bool(key.switches) and json.loads(key.switches).get("instrument") is True
-
-
-def precisions(key: GroupKey) -> list[str]:
-    """Of the states; empty where the run ended before they were known."""
-    return sorted({dtype for dtype, *_ in json.loads(key.layout or "{}").values()})
+    return _parsed(key.switches).get("instrument") is True
 
 
 def _order(key: GroupKey) -> tuple[Any, ...]:
@@ -291,3 +307,8 @@ def _device(recording: Described) -> str:
 
 def _canonical(record: dict[str, Any]) -> str:
     return json.dumps(record, sort_keys=True)
+
+
+def _parsed(canonical: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(canonical or "{}")
+    return found

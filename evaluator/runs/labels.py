@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from gpusimbench.evaluator.read.described import Described
-from gpusimbench.evaluator.runs.groups import GroupKey, precisions
+from gpusimbench.evaluator.runs.groups import GroupKey
 from gpusimbench.schemas.configuration import TELLING
 from gpusimbench.schemas.provenance import engine_name
 from gpusimbench.schemas.text import cut, first, plural
@@ -105,10 +104,15 @@ def footnotes(keys: Sequence[GroupKey]) -> list[tuple[str, ...]]:
     flags that its level of determinism sets: another device is another machine, with variables of its own.
     """
     usual = {scene: _usual_protocol([k for k in keys if k.scene == scene]) for scene in {k.scene for k in keys}}
+    variables = {id(key): _variables(key) for key in keys}
     return [
         (
             *_protocol_note(key, usual[key.scene]),
-            *_variable_notes(key, [k for k in keys if _rivals(key, k) and k.device == key.device]),
+            *_variable_notes(
+                key.simulator,
+                variables[id(key)],
+                [variables[id(k)] for k in keys if _rivals(key, k) and k.device == key.device],
+            ),
         )
         for key in keys
     ]
@@ -125,11 +129,11 @@ def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], besid
     alike = [
         r for r in rivals if _chosen(r, given) == chosen and all(_value(n, r) == _value(n, key) for n in _ATTRIBUTES)
     ]
-    if any(precisions(rival) not in ([], precisions(key)) for rival in alike):
-        parts += precisions(key)
-        alike = [rival for rival in alike if precisions(rival) in ([], precisions(key))]
-    parts += first(_changed(_settings(key), [_settings(rival) for rival in alike]), _SHOWN_SETTINGS)
-    alike = [rival for rival in alike if _settings(rival) == _settings(key)]
+    if any(rival.precisions not in ([], key.precisions) for rival in alike):
+        parts += key.precisions
+        alike = [rival for rival in alike if rival.precisions in ([], key.precisions)]
+    parts += first(_changed(key.parsed_settings, [rival.parsed_settings for rival in alike]), _SHOWN_SETTINGS)
+    alike = [rival for rival in alike if rival.parsed_settings == key.parsed_settings]
     for settings in () if chosen_alone else (_protocol, _conditions):
         parts += _fewest(settings(key), [settings(rival) for rival in alike])
         alike = [rival for rival in alike if settings(rival) == settings(key)]
@@ -186,9 +190,9 @@ def _shown(name: str, key: GroupKey) -> str:
 
 
 def _changed(own: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list[str]:
-    names = [n for n in set(own).union(*others) if any(other.get(n) != own.get(n) for other in others)]
     # what it has comes before what only the others have
-    return [_setting(n, own.get(n, "unset")) for n in sorted(names, key=lambda n: (n not in own, n))]
+    names = sorted(_differing(own, others), key=lambda n: (n not in own, n))
+    return [_setting(n, own.get(n, "unset")) for n in names]
 
 
 def _fewest(own: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -207,12 +211,7 @@ def _setting(name: str, value: Any) -> str:
 
 
 def _chosen(key: GroupKey, given: frozenset[str]) -> dict[str, Any]:
-    return {name: value for name, value in json.loads(key.options).items() if name in given}
-
-
-def _settings(key: GroupKey) -> dict[str, Any]:
-    # options before switches, as they are named
-    return {**json.loads(key.switches or "{}"), **json.loads(key.options)}
+    return {name: value for name, value in key.parsed_options.items() if name in given}
 
 
 def _protocol(key: GroupKey) -> dict[str, Any]:
@@ -220,8 +219,7 @@ def _protocol(key: GroupKey) -> dict[str, Any]:
 
 
 def _conditions(key: GroupKey) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(key.conditions)
-    return found
+    return key.parsed_conditions
 
 
 def _usual_protocol(keys: Sequence[GroupKey]) -> tuple[int, int] | None:
@@ -239,18 +237,22 @@ def _protocol_note(key: GroupKey, usual: tuple[int, int] | None) -> tuple[str, .
     )
 
 
-def _variable_notes(key: GroupKey, rivals: Sequence[GroupKey]) -> list[str]:
-    own, others = _variables(key), [_variables(rival) for rival in rivals]
-    names = {n for n in set(own).union(*others) if any(other.get(n) != own.get(n) for other in others)}
+def _variable_notes(simulator: str, own: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> list[str]:
     return [
-        f"run with {_setting(name, own.get(name, 'unset'))}, unlike others of {key.simulator}: {_meaning(name)}"
-        for name in sorted(names)
+        f"run with {_setting(name, own.get(name, 'unset'))}, unlike others of {simulator}: {_meaning(name)}"
+        for name in sorted(_differing(own, others))
     ]
+
+
+def _differing(own: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> set[str]:
+    """Names of the settings that any other has otherwise, or has alone."""
+    left = [other for other in others if other != own]
+    return {n for n in set(own).union(*left) if any(other.get(n) != own.get(n) for other in left)}
 
 
 def _variables(key: GroupKey) -> dict[str, str]:
     """Environment variables, without the flags that the level of determinism sets."""
-    by_level = str(json.loads(key.switches or "{}").get("xla_flags_of_level", "")).split()
+    by_level = str(key.parsed_settings.get("xla_flags_of_level", "")).split()
     found = {
         name: " ".join(word for word in str(value).split() if word not in by_level)
         for name, value in _conditions(key).items()

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, GrowthFit, fit_growth, resolution
+from gpusimbench.evaluator.metrics.lost_cubes import Board, Fallen
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.scene import board_of
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.runs.outcome import joint_fields, positional
-from gpusimbench.evaluator.runs.positions import check_format, no_states
+from gpusimbench.evaluator.runs.positions import check_format, in_env_frame, no_states
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 
@@ -37,6 +39,9 @@ class Spread:
                      all bodies; None where a position is not finite. Of joints likewise
     largest          largest distance of a body or joint from where it is in environment 0; no two environments lie
                      further apart than twice that. None likewise
+    fallen           bodies that fell off the scene's board, or through it, by the last row read. From then on neither
+                     distance includes them, as in gsb-diff, because they fall for as long as is recorded; both do if
+                     all bodies fell. `largest` leaves out bodies that fell in environment 0, too
     not_finite_from  first of the steps with a position that is not finite; None where all are
     resolution       largest difference that storing one place at two origins can make [m], which counts as none; None
                      where all environments have one origin
@@ -57,6 +62,7 @@ class Spread:
     rows_read: int
     unit: str = "m"
     bodies: bool = True
+    fallen: int = 0
 
 
 def spread(recording: Recording) -> Spread | Missing:
@@ -96,7 +102,9 @@ def spread(recording: Recording) -> Spread | Missing:
     if any(not np.array_equal(a.steps, steps) for a in arrays):
         raise DamagedRecording(f"{recording.path}: the state fields have different rows")
     rows = np.arange(0, len(steps), -(-len(steps) // MAX_STEPS))
-    sums = [_Sums(recording, f, a, rows, of) for f, a, of in zip(fields, arrays, items, strict=True)]
+    spatial = bodies and all("z" in f.components for f in fields)
+    board = board_of(recording) if spatial else None
+    sums = [_Sums(recording, f, a, rows, of, board) for f, a, of in zip(fields, arrays, items, strict=True)]
     wanted = _differing(recording, steps, rows)
     for some in _chunks(rows[wanted], first_alone=int(steps[0]) == 0):
         for each in sums:
@@ -120,11 +128,18 @@ class _Sums:
     bodies        of the field
     pair_squares  mean over pairs of environments of the squared distance [m^2], summed over bodies, shape [row]
     largest       distance from environment 0 [m], shape [row]
+    on_board      the same of the bodies that have not fallen; None where the scene has no board
     resolution    largest that storing at two origins can make of one place [m]; None with one origin
     """
 
     def __init__(
-        self, recording: Recording, field: StateField, array: StateArray, rows: NDArray[np.int64], of: list[int] | None
+        self,
+        recording: Recording,
+        field: StateField,
+        array: StateArray,
+        rows: NDArray[np.int64],
+        of: list[int] | None,
+        board: Board | None,
     ) -> None:
         self._of = of
         self._recording, self._array, self._rows = recording, array, rows
@@ -135,20 +150,22 @@ class _Sums:
         self.pair_squares = np.zeros(len(rows))
         self.largest = np.zeros(len(rows))
         self.resolution = 0.0 if self._origins is not None else None
+        # whole blocks of environments, as the format cuts them: none is decoded twice
+        _, n_env, items, width = array.shape
+        block = max(_BLOCK_ENVS, n_env // _BLOCK_ENVS)
+        row_bytes = min(_BLOCK_ROWS, len(array.steps)) * block * items * width * array.dtype.itemsize
+        self._envs = block * max(1, _READ_BYTES // max(row_bytes, 1))
+        self.on_board = _OnBoard(recording, array, board, len(rows), self._envs) if board else None
 
     def read(self, some: NDArray[np.int64]) -> None:
         """Add rows of the file, all within one block of rows."""
         begin, end = int(some[0]), int(some[-1]) + 1
         at = np.searchsorted(self._rows, some)
-        n_env, items, width = self._array.shape[1:]
-        # whole blocks of environments, as the format cuts them: none is decoded twice
-        block = max(_BLOCK_ENVS, n_env // _BLOCK_ENVS)
-        row_bytes = (end - begin) * block * items * width * self._array.dtype.itemsize
-        envs = block * max(1, _READ_BYTES // max(row_bytes, 1))
+        n_env, _, width = self._array.shape[1:]
         zero = self._array.read(slice(begin, end), slice(0, 1))[some - begin]
         squares, vectors = np.zeros(len(some)), np.zeros((len(some), self.bodies, width))
-        for first in range(0, n_env, envs):
-            part = self._array.read(slice(begin, end), slice(first, first + envs))[some - begin]
+        for first in range(0, n_env, self._envs):
+            part = self._array.read(slice(begin, end), slice(first, first + self._envs))[some - begin]
             apart = self._apart(part, zero, first)
             apart = apart if self._of is None else apart[:, :, self._of]
             with np.errstate(invalid="ignore", over="ignore"):
@@ -156,6 +173,8 @@ class _Sums:
                 squares += squared.sum(axis=(1, 2))
                 vectors += apart.sum(axis=1)
                 self.largest[at] = np.maximum(self.largest[at], np.sqrt(squared.max(axis=(1, 2))))
+            if self.on_board:
+                self.on_board.add(at, first, part, apart, squared)
         with np.errstate(invalid="ignore", over="ignore"):
             around = squares / n_env - ((vectors / n_env) ** 2).sum(axis=(1, 2))
             self.pair_squares[at] = 2 * n_env / (n_env - 1) * np.maximum(around, 0.0)
@@ -174,6 +193,51 @@ class _Sums:
             beyond = ~(np.abs(apart) <= limit)
         # what storing the same place twice can differ by is no distance
         return np.asarray(np.where(beyond.any(axis=-1, keepdims=True), apart, 0.0))
+
+
+class _OnBoard:
+    """The displacements of those bodies of one field that have not fallen off the board, row by row.
+
+    squares, vectors  sums over environments [m^2] and [m], shapes [row, body] and [row, body, 3]
+    count             environments in which each body is on the board, shape [row, body]
+    largest           distance from environment 0 [m], shape [row]; zero where no body is on the board
+    fallen            bodies of all environments that have fallen, shape [row]; zero at rows that are not read
+    last              the last row that was read
+    """
+
+    def __init__(self, recording: Recording, array: StateArray, board: Board, rows: int, envs: int) -> None:
+        self._recording, self._field = recording, array.field
+        _, n_env, bodies, width = array.shape
+        self.squares, self.count = np.zeros((rows, bodies)), np.zeros((rows, bodies), dtype=np.int64)
+        self.vectors = np.zeros((rows, bodies, width))
+        self.largest, self.fallen = np.zeros(rows), np.zeros(rows, dtype=np.int64)
+        self.last = 0
+        self._following = {first: Fallen(board) for first in range(0, n_env, envs)}
+        # a body that has fallen was higher once, and rows at which all environments agree are not read
+        start = in_env_frame(recording, array.field, array.at_step(int(array.steps[0])))
+        for first, following in self._following.items():
+            following.feed(start[np.newaxis, first : first + envs])
+        self._zero = np.zeros((1, 1, bodies), dtype=bool)
+
+    def add(
+        self,
+        at: NDArray[np.int64],
+        first: int,
+        part: NDArray[np.floating],
+        apart: NDArray[np.float64],
+        squared: NDArray[np.float64],
+    ) -> None:
+        """Positions of environments from `first` on, and their displacements, at the rows `at`."""
+        envs = slice(first, first + part.shape[1])
+        fallen = self._following[first].feed(in_env_frame(self._recording, self._field, part, envs))
+        self._zero = fallen[:, :1] if first == 0 else self._zero
+        self.fallen[at] += fallen.sum(axis=(1, 2))
+        self.last = int(at[-1])
+        self.count[at] += (~fallen).sum(axis=1)
+        self.squares[at] += np.where(fallen, 0.0, squared).sum(axis=1)
+        self.vectors[at] += np.where(fallen[..., np.newaxis], 0.0, apart).sum(axis=1)
+        here = np.where(fallen | self._zero, 0.0, squared).max(axis=(1, 2))
+        self.largest[at] = np.maximum(self.largest[at], np.sqrt(here))
 
 
 def _differing(recording: Recording, steps: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -200,6 +264,10 @@ def _result(
     rms = np.sqrt(sum((s.pair_squares for s in sums), np.zeros(len(steps))) / bodies)
     largest = np.max([s.largest for s in sums], axis=0)
     finite = np.isfinite(largest) & np.isfinite(rms)
+    boards = [s.on_board for s in sums if s.on_board]
+    fallen = int(sum(b.fallen[b.last] for b in boards))
+    if any(b.fallen.any() for b in boards) and fallen < bodies * recording.configuration.n_env:
+        rms, largest = _of_those_on_board(boards)
     times = np.asarray(steps * recording.configuration.dt, dtype=np.float64)
     resolutions = [s.resolution for s in sums if s.resolution is not None]
     return Spread(
@@ -213,7 +281,19 @@ def _result(
         resolution=max(resolutions) if resolutions else None,
         fit=fit_growth(times, np.where(finite, largest, np.nan), limit=FIT_LIMIT_M),
         rows_read=rows_read,
+        fallen=fallen,
     )
+
+
+def _of_those_on_board(boards: list[_OnBoard]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Root mean square and largest distance; both shape [row]."""
+    squares, pairs = 0.0, 0
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        for one in boards:
+            squares = squares + (one.count * one.squares - (one.vectors**2).sum(axis=-1)).clip(min=0.0).sum(axis=1)
+            pairs = pairs + (one.count * (one.count - 1) // 2).sum(axis=1)
+        rms = np.sqrt(squares / np.maximum(pairs, 1))
+    return rms, np.max([one.largest for one in boards], axis=0)
 
 
 def _known(values: NDArray[np.float64], finite: NDArray[np.bool_]) -> tuple[float | None, ...]:

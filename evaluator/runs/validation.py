@@ -13,7 +13,7 @@ import numpy as np
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.failing import KINDS, ONLY_FAILING, LastStates
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.read.scene import board_of, radius_of, supports_of
+from gpusimbench.evaluator.read.scene import board_of, radii_of, supports_of
 from gpusimbench.evaluator.runs.outcome import outcome_of, positional
 from gpusimbench.evaluator.runs.physics.measure import check_described
 from gpusimbench.evaluator.runs.positions import check_format
@@ -54,8 +54,8 @@ def demands(recording: Recording) -> Iterator[Callable[[], object]]:
     yield lambda: _described(recording)
     yield lambda: board_of(recording)
     yield lambda: supports_of(recording)
-    for group in dict.fromkeys(field.group for field in positional(recording.fields)):
-        yield lambda group=group: radius_of(recording, group)  # type: ignore[misc]
+    for field in positional(recording.fields):
+        yield lambda field=field: radii_of(recording, field)  # type: ignore[misc]
     yield lambda: outcome_of(recording)
     yield lambda: check_described(recording)
     yield lambda: _drawn(recording)

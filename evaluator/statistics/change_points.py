@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.statistics.jackknife import CONFIDENCE
 from gpusimbench.evaluator.statistics.ratio import mean_of
 
@@ -17,6 +19,8 @@ MIN_POINTS = 3
 """Fewer points have no spread beside a change."""
 
 _ROUNDING = 1e-12  # values that are apart by less, in proportion, are taken for equal: sums of them round
+
+_NO_NOISE = Missing("the points of each level are equal, so that nothing shows how much points differ by chance")
 
 Floats = npt.NDArray[np.float64]
 
@@ -29,8 +33,10 @@ class ChangePoint:
     begin, end  the points from `begin` to before `index` have the old level, those from `index` to before `end` the new
     before      mean of those
     after       mean of these
-    ci95        of after - before, with the position taken as known; None where neither level has two points
-    p_value     chance of so clear a change, anywhere in the stretch in which it was found, were nothing changed there
+    ci95        of after - before, with the position taken as known; None where neither level has two points, or the
+                points of each are equal
+    p_value     chance of so clear a change, anywhere in the stretch in which it was found, were nothing changed there;
+                missing where the points of each level are equal: however few they are, t is infinite
     """
 
     index: int
@@ -39,7 +45,7 @@ class ChangePoint:
     before: float
     after: float
     ci95: tuple[float, float] | None
-    p_value: float
+    p_value: float | Missing
 
     @property
     def difference(self) -> float:
@@ -129,9 +135,9 @@ class _Stretch:
     candidates: tuple[_Candidate, ...] = ()
 
 
-def _divide(series: Floats, level: float) -> dict[int, float]:
+def _divide(series: Floats, level: float) -> dict[int, float | Missing]:
     """The change points with their p-values."""
-    found: dict[int, float] = {}
+    found: dict[int, float | Missing] = {}
     if len(series) < MIN_POINTS:
         return found
     # in units of the largest distance from the first value: squares neither overflow nor vanish
@@ -149,8 +155,8 @@ def _divide(series: Floats, level: float) -> dict[int, float]:
         ranked = [(_p_value(c, total, freedom), c.cuts) for one in stretches for c in one.candidates]
         if not ranked:
             return found
-        p, cuts = min(ranked)
-        if p > level:
+        p, cuts = min(ranked, key=lambda one: (one[0] or 0.0, one[1]))
+        if p and p > level:
             return found
         found.update((cut, p) for cut in cuts if cut not in found)
 
@@ -182,25 +188,25 @@ def _between(sums: Floats, sizes: npt.NDArray[np.int64], count: int) -> Floats:
     return np.asarray(sums**2 * (count / (sizes * (count - sizes))))
 
 
-def _p_value(candidate: _Candidate, total: float, freedom: int) -> float:
+def _p_value(candidate: _Candidate, total: float, freedom: int) -> float | Missing:
     from scipy.special import stdtr  # what scipy.stats.t.cdf calls, without a second of imports
 
     if candidate.between <= 0.0:
         return 1.0
-    within = max(total - candidate.between, 0.0)
-    if within <= 0.0:
-        return 0.0
+    within = total - candidate.between
+    if within <= freedom * sys.float_info.epsilon * total:  # what sums of squares round by
+        return _NO_NOISE
     t = math.sqrt(freedom * candidate.between / within)
     # twice for the two signs, twice for the two kinds of candidates
     return min(1.0, 4.0 * candidate.ways * float(stdtr(freedom, -t)))
 
 
-def _change(series: Floats, begin: int, index: int, end: int, p_value: float) -> ChangePoint:
+def _change(series: Floats, begin: int, index: int, end: int, p_value: float | Missing) -> ChangePoint:
     sides = series[begin:index], series[index:end]
     before, after = (mean_of(side) for side in sides)
     freedom = end - begin - 2
     interval = None
-    if freedom:
+    if freedom and any(np.ptp(side) > _ROUNDING * np.abs(side).max() for side in sides):
         from scipy.special import stdtrit
 
         spread = sum(float(((side - mean) ** 2).sum()) for side, mean in zip(sides, (before, after), strict=True))

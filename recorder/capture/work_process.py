@@ -34,6 +34,7 @@ LEAST_BYTES = 64 << 20  # of states: starting the process takes about as long as
 _READY_S = 30.0
 _LOOK_S = 1.0
 _END_S = 10.0
+_SILENT_S = 60.0  # without an answer, and without any work: it was stopped, or hangs
 _MAIN = "import sys; sys.path += {path!a}; from gpusimbench.recorder.capture.work_child import main; main()"
 _PYTHON = re.compile(r"python[\d.]*[dmtuw]*")
 _KEPT = ("PYTHONHOME", "PYTHONPLATLIBDIR", "PYTHONPYCACHEPREFIX")  # some Pythons do not start without
@@ -143,7 +144,7 @@ class WorkProcess:
         try:
             self._child.wait(_END_S)
         except subprocess.TimeoutExpired:
-            self._child.kill()
+            self._kill()
             self._child.wait()
 
     def _blocks(self, stored: Stored) -> Iterator[Message]:
@@ -174,16 +175,52 @@ class WorkProcess:
 
     def _receive(self, seconds: float = math.inf) -> Any:
         until = time.monotonic() + seconds
+        silent, worked = 0.0, -1.0
         try:
             while not self._connection.poll(_LOOK_S):  # a copy of this process may hold the other end open
                 if time.monotonic() > until or (self._child.poll() is not None and not self._connection.poll()):
                     raise self._dead()
+                # counted, since a clock goes on while a job is stopped with all of its processes
+                before, worked = worked, self._worked()
+                silent = silent + _LOOK_S if worked == before else 0.0
+                if silent >= _SILENT_S and not self._connection.poll():
+                    self._kill()
+                    raise RuntimeError(
+                        f"the process that hashes and digests states, {self._child.pid}, did nothing for {silent:g} s: "
+                        "it was stopped, or hangs, and has been killed"
+                    )
             found = self._connection.recv()
         except (EOFError, ConnectionResetError):
             raise self._dead() from None
         if isinstance(found, Exception):
             raise found
         return found
+
+    def _worked(self) -> float:
+        """CPU time of the process and its copies [s]."""
+        import psutil  # takes time to load, which nobody waits for where answers come in time
+
+        total = 0.0
+        for process in self._processes():
+            with suppress(psutil.Error):
+                total += sum(process.cpu_times()[:2])
+        return total
+
+    def _kill(self) -> None:
+        import psutil
+
+        # copies end by themselves when the process is gone, but not one that is stopped
+        for process in self._processes():
+            with suppress(psutil.Error):
+                process.kill()
+
+    def _processes(self) -> list[Any]:
+        import psutil
+
+        with suppress(psutil.Error):
+            process = psutil.Process(self._child.pid)
+            return [*process.children(), process]
+        return []
 
     def _dead(self) -> RuntimeError:
         with suppress(subprocess.TimeoutExpired):

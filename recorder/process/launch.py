@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import tempfile
@@ -13,6 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.interruption import ENDING, MARK, SIGNALS, blocked
 from gpusimbench.recorder.plan import partial_of, release
 from gpusimbench.recorder.process.cage import Cage, Guard
+from gpusimbench.recorder.process.scratch import OUTPUT, scratch_folder
 from gpusimbench.recorder.run.pace import BETWEEN
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError
@@ -32,7 +33,6 @@ GRACE_S = 30.0
 """How long a run that has timed out may take to bring its recording to an end [s]. An engine that sits in native code,
 such as a compilation, never lets it begin with that, and is killed."""
 
-_OUTPUT = "output"  # in the run's folder: what its process prints
 _SAID_BYTES = 4096  # of the end of what a run's process printed
 _SAID_CHARACTERS = 300
 _OWN_RISK = "Where you trust the file, make the run as your own: gsb-record --sim has no such bounds"
@@ -140,39 +140,36 @@ def launch(
 
     GsbError where no process can be started.
     """
-    scratch = Path(tempfile.mkdtemp(prefix="gsb-run-"))
-    kept = _kept(inputs or {})
-    task = {
-        "configuration": configuration.to_json(),
-        "path": str(path.absolute()),
-        "run_id": run_id,
-        "created": created,
-        "argv": list(argv),
-        "scratch": str(scratch),
-        "replay_of": asdict(replay_of) if replay_of else None,
-        "inputs": None if kept is None else str(kept),
-    }
     try:
-        end = _follow(task, scratch, interpreter, configuration.timeout, progress, interruptions, cage)
-        said = "" if end.last else last_line(scratch / _OUTPUT)
+        with scratch_folder() as (scratch, printed):
+            task = {
+                "configuration": configuration.to_json(),
+                "path": str(path.absolute()),
+                "run_id": run_id,
+                "created": created,
+                "argv": list(argv),
+                "scratch": str(scratch),
+                "replay_of": asdict(replay_of) if replay_of else None,
+                "inputs": _kept(scratch, inputs or {}),
+            }
+            end = _follow(task, scratch, printed, interpreter, configuration.timeout, progress, interruptions, cage)
+            said = "" if end.last else last_line(scratch / OUTPUT)
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-        if kept is not None:
-            shutil.rmtree(kept, ignore_errors=True)
         left = release(path)
     if end.stopped and left:
         left.unlink(missing_ok=True)
     return _result(configuration, path, left, end, said, interrupted=interruptions.count > 0)
 
 
-def _kept(inputs: Mapping[str, bytes]) -> Path | None:
-    # not in the scratch folder, whose files are the engine's log
+def _kept(scratch: Path, inputs: Mapping[str, bytes]) -> str | None:
+    # in a folder of their own: the files of the scratch folder are the engine's log
     if not inputs:
         return None
-    folder = Path(tempfile.mkdtemp(prefix="gsb-inputs-"))
+    folder = scratch / "inputs"
+    folder.mkdir()
     for name, data in inputs.items():
         write_file(folder / name, data, durable=False)
-    return folder
+    return str(folder)
 
 
 @dataclass
@@ -234,6 +231,7 @@ class _Deadline:
 def _follow(
     task: dict[str, Any],
     scratch: Path,
+    printed: FileIO,
     interpreter: Interpreter,
     timeout: float,
     progress: Progress,
@@ -243,7 +241,7 @@ def _follow(
     end = _End()
     environment = interpreter.environment(scratch)
     reader, writer = os.pipe()
-    with os.fdopen(reader) as reports, tempfile.TemporaryFile() as given, create(scratch / _OUTPUT) as printed:
+    with os.fdopen(reader) as reports, tempfile.TemporaryFile() as given:
         given.write(json.dumps(task).encode())
         given.seek(0)
         try:

@@ -7,7 +7,6 @@ command is asked for; the recorder and the evaluator stay strangers to each othe
 from __future__ import annotations
 
 import argparse
-import io
 import sys
 from dataclasses import dataclass
 from importlib import import_module
@@ -15,7 +14,7 @@ from typing import Any
 
 from gpusimbench.schemas.commands.command_line import add_common
 from gpusimbench.schemas.commands.parser import Parser
-from gpusimbench.schemas.text import block, show
+from gpusimbench.schemas.text import block, show, write_every_sign
 
 
 @dataclass(frozen=True)
@@ -115,8 +114,7 @@ def main(argv: list[str] | None = None) -> int:
     if not given:
         from gpusimbench.next_steps import next_steps
 
-        if isinstance(sys.stdout, io.TextIOWrapper):
-            sys.stdout.reconfigure(errors="backslashreplace")  # names of files in a poorer encoding than theirs
+        write_every_sign()
         show(block(next_steps()))
         return 0
     if command := COMMANDS.get(given[0]):

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
+from gpusimbench.evaluator.missing import known, why_missing
 from gpusimbench.evaluator.statistics.change_points import change_points, least_visible, steps_of
 
 LEVEL = 0.05
@@ -106,7 +107,8 @@ def test_neither_shift_nor_scale_moves_a_change_point(values: list[float], shift
     """Mark the same points of a series in another unit."""
     found = change_points(values, LEVEL)
     moved = change_points([scale * (v + shift) for v in values], LEVEL)
-    if all(one.p_value > 1e-6 and abs(one.p_value - LEVEL) > 1e-3 for one in (*found, *moved)):
+    chances = [known(one.p_value) or 0.0 for one in (*found, *moved)]
+    if all(p > 1e-6 and abs(p - LEVEL) > 1e-3 for p in chances):
         assert [one.index for one in moved] == [one.index for one in found]
 
 
@@ -118,7 +120,7 @@ def test_parts_are_what_changes_say(values: list[float]) -> None:
         assert 0 <= one.begin < one.index < one.end <= len(values)
         assert one.before == pytest.approx(np.mean(values[one.begin : one.index]), abs=1e-9)
         assert one.after == pytest.approx(np.mean(values[one.index : one.end]), abs=1e-9)
-        assert 0 <= one.p_value <= LEVEL
+        assert 0 <= (known(one.p_value) or 0.0) <= LEVEL
         assert one.ci95 is None or one.ci95[0] <= one.difference <= one.ci95[1]
     assert all((left.index, left.end) == (right.begin, right.index) for left, right in pairwise(found))
 
@@ -129,11 +131,22 @@ def test_equal_values_have_no_change(value: float, count: int) -> None:
     assert change_points([value] * count, LEVEL) == []
 
 
-def test_values_without_noise_change_for_certain() -> None:
-    """Give p = 0 where both levels are constant, and an interval of no width."""
-    (found,) = change_points([5.0] * 4 + [6.0] * 4, LEVEL)
-    assert (found.index, found.p_value, found.ci95) == (4, 0.0, (1.0, 1.0))
-    assert steps_of([5.0, 5.0, 6.0, 6.0, 5.0]) == [2, 4]
+@pytest.mark.parametrize(
+    "values", [[5.0] * 4 + [6.0] * 4, [5.0, 6.0, 6.0], [0.1] * 5 + [0.3], [5.0] * 4 + [6.0] * 3 + [5.0]]
+)
+def test_values_without_noise_have_no_p(values: list[float]) -> None:
+    """Mark where the value changes, and say why there is neither a p-value nor an interval, however few the points."""
+    found = change_points(values, LEVEL)
+    assert [one.index for one in found] == steps_of(values)
+    assert all("each level are equal" in why_missing(one.p_value) and one.ci95 is None for one in found)
+
+
+def test_noise_far_below_a_change_has_a_p() -> None:
+    """Give p and interval where levels differ a million times as much as their points do."""
+    (found,) = change_points([5.0, 5.000001, 5.0, 6.0, 6.000001, 6.0], LEVEL)
+    assert found.ci95 is not None
+    assert found.ci95[0] < 1.0 < found.ci95[1]
+    assert 0 < known(found.p_value) < 1e-12
 
 
 @pytest.mark.parametrize(

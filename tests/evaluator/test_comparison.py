@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -58,6 +60,52 @@ def test_what_is_wrong_in_another_scene_bars_a_pick(tmp_path: Path) -> None:
     assert "solver=b" in found.pick
     (barred,) = found.barred
     assert barred.endswith("1 of 1 run is INVALID (not finite) (free-fall)")
+
+
+def treated(**settings: str) -> Callable[[str, dict[str, Any]], None]:
+    """What writes settings into the configuration of a recording."""
+
+    def change(_: str, record: dict[str, Any]) -> None:
+        if "configuration" in record:
+            record["configuration"] |= settings
+
+    return change
+
+
+VARIED, SET, POISONED = {"vary": "mass:0.1"}, {"intervention": "set@2"}, {"intervention": "poison@2"}
+
+
+@pytest.mark.parametrize(
+    ("of_a", "of_b", "compared_with"),
+    [
+        ([{}, SET], [{}, VARIED], {}),
+        ([{}, SET, VARIED], [{}, SET, VARIED], {}),
+        ([SET, VARIED], [{}, VARIED], VARIED),
+        ([SET], [{}], None),
+        ([SET], [POISONED], None),
+    ],
+)
+def test_treated_runs_are_compared_with_such_alone(
+    tmp_path: Path, of_a: list[dict[str, str]], of_b: list[dict[str, str]], compared_with: dict[str, str] | None
+) -> None:
+    """Compare runs that were left alone, or else runs of one treatment, and say what is left out."""
+    for name, treatments in (("a", of_a), ("b", of_b)):
+        for number, treatment in enumerate(treatments):
+            file = f"{name}{number}.mcap"
+            write_recording(tmp_path, grid(4), simulator=name, change=treated(**treatment), name=file)
+    found = compared(tmp_path)
+    assert [c.group.group.key.settings for c in found.contenders if c.group] == (
+        [] if compared_with is None else [tuple(compared_with.items())] * 2
+    )
+    said = [note for note in found.notes if note.startswith("radar and guidelines leave out what ran under other")]
+    if compared_with is None:
+        assert said == []
+        return
+    left = [treatment for treatment in (*of_a, *of_b) if treatment != compared_with]
+    treated_ones = sum(map(bool, left))
+    named = ["b"] if {} in left else []
+    groups = f"{treated_ones} group{'s' if treated_ones > 1 else ''} with --initial, --vary or --intervene"
+    assert said == [f"radar and guidelines leave out what ran under other conditions: {', '.join([*named, groups])}"]
 
 
 @pytest.mark.parametrize("swept", [False, True], ids=["groups", "sweeps"])

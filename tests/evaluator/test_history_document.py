@@ -15,6 +15,7 @@ from gpusimbench.evaluator.compare.history.curves import Curve, Sample, Shift
 from gpusimbench.evaluator.compare.history.document import full, short
 from gpusimbench.evaluator.compare.history.history import Event, Fact, History, Traced
 from gpusimbench.evaluator.compare.history.series import Point, _device
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Cell, Document, Items, Section, Table, Text, Tone, walk
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
@@ -175,7 +176,11 @@ def cells(table: Table, column: str) -> list[Cell]:
 
 def test_the_whole() -> None:
     """Give for every quantity its ends and changes, for every change its p, and for every point its files."""
-    moved = (shift(p_value=0.0123), replace(shift(p_value=1e-13), point=1, previous=0))
+    moved = (
+        shift(p_value=0.0123),
+        replace(shift(p_value=1e-13), point=1, previous=0),
+        replace(shift(p_value=Missing("no noise")), point=1, previous=0),
+    )
     curves = (
         curve(FPS, 100.0, 100.0, 50.0, shifts=moved),
         curve(HOST, 7.0, 9.0, 11.0, why_not="too large"),
@@ -188,15 +193,16 @@ def test_the_whole() -> None:
     assert [(cell.text, cell.tone) for cell in cells(table, "p")] == [
         ("0.012", Tone.PLAIN),
         ("< 1e-12", Tone.PLAIN),
+        ("none", Tone.QUIET),
         *[("fact", Tone.QUIET)] * 2,
     ]
-    assert [cell.text for cell in cells(table, "point")] == ["v2", "v1", "v1", "v1"]
+    assert [cell.text for cell in cells(table, "point")] == ["v2", "v1", "v1", "v1", "v1"]
     (quantities,) = (block for key, block in tables.items() if key.endswith("-quantities"))
     assert [cell.text for cell in cells(quantities, "points")] == ["3", "3", "0"]
     assert [cell.text for cell in cells(quantities, "first value")] == ["100", "7.00", "-"]
     assert [cell.text for cell in cells(quantities, "newest value")] == ["50", "11.00", "-"]
     assert [cell.text for cell in cells(quantities, "changes")] == ["v2: -50 % (regression)", "none", "none"]
-    assert cells(quantities, "changes")[0].notes == ("v1: -50 % (regression)",)
+    assert cells(quantities, "changes")[0].notes == ("v1: -50 % (regression)",) * 2
     assert cells(quantities, "smallest change visible at the next point")[1].text == "too large"
     points = tables["points-table"]
     assert [cell.text for cell in cells(points, "point")] == ["v0", "v1", "v2"]
@@ -204,7 +210,7 @@ def test_the_whole() -> None:
     (section,) = (block for block in found.blocks if isinstance(block, Section) and block.key.startswith("series"))
     told = ["v1: changed: f0, is another", "v1: differs, below threshold: f1, is another (runs of a point)"]
     assert [item.text for block in section.blocks if isinstance(block, Items) for item in block.items] == told
-    assert section.summary == "CPU: 3 points, 3 changes"
+    assert section.summary == "CPU: 3 points, 4 changes"
     assert not section.folded
 
 

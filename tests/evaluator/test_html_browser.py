@@ -57,14 +57,28 @@ def page(evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> Pa
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [320, 768, 1280, 1920])
 def test_the_page_fits(browser: Browser, page: Path, width: int, dark: bool) -> None:
-    """Scroll sideways in regions for tables alone, ask for nothing, and give the console no reason to complain."""
+    """Scroll tables and figures alone sideways, ask for nothing, and give the console no reason to complain."""
     browser.open(page, width=width, dark=dark)
     assert browser.evaluate("document.documentElement.scrollWidth") <= width
-    beyond = f"""[...document.querySelectorAll('body *')].filter(e => !e.closest('.scroll, .table, svg, .skip')
+    beyond = f"""[...document.querySelectorAll('body *')].filter(e => !e.closest('.table, .drawn, .skip')
         && e.getBoundingClientRect().right > {width} + 0.5).map(e => e.outerHTML.slice(0, 80))"""
     assert browser.evaluate(beyond) == []
     assert (browser.errors, browser.requests) == ([], [])
     assert browser.evaluate("document.title") == "Which simulator repeats itself, which is right, and how fast is each?"
+
+
+@pytest.mark.parametrize("width", [320, 390, 760])
+def test_figures_can_be_read_on_a_phone(browser: Browser, page: Path, width: int) -> None:
+    """Draw no text of a figure smaller than 9 px: wide figures scroll, and the page does not."""
+    browser.open(page, width=width)
+    browser.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
+    sizes = """[...document.querySelectorAll('figure svg')].flatMap(svg => [...svg.querySelectorAll('text')].map(
+        one => parseFloat(getComputedStyle(one).fontSize)
+               * svg.getBoundingClientRect().width / svg.viewBox.baseVal.width))"""
+    found = browser.evaluate(sizes)
+    assert len(found) > 50
+    assert min(found) >= 9
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
 
 
 @pytest.mark.parametrize("width", [420, 1280])
@@ -89,7 +103,7 @@ def test_the_page_can_be_read_at_four_hundred_per_cent(browser: Browser, page: P
     browser.open(page, width=1280, zoom=4)
     assert browser.evaluate("document.documentElement.scrollWidth") <= 320
     cut = """[...document.querySelectorAll('p, li, h1, h2, h3, h4, dd, dt, summary, a, button, pre')]
-        .filter(e => e.checkVisibility() && !e.closest('.scroll, .table, .loud') && e.scrollWidth > e.clientWidth + 1
+        .filter(e => e.checkVisibility() && !e.closest('.table, .loud') && e.scrollWidth > e.clientWidth + 1
                      && getComputedStyle(e).display !== 'inline').map(e => e.outerHTML.slice(0, 80))"""
     assert browser.evaluate(cut) == []
 

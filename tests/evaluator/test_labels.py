@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.runs.groups import TOLD_AS, group, key_of
+from gpusimbench.evaluator.runs.groups import TOLD_AS, GroupKey, group, key_of
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given, row_names, short_device
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
@@ -330,3 +331,29 @@ def test_options_that_an_engine_tells_by_another_name() -> None:
     assert "solver" not in json.loads(key_of(recording).options)
     for simulator, names in TOLD_AS.items():
         assert names.keys() <= {field.name for field in fields(find_simulator(simulator).adapter().Options)}
+
+
+def test_settings_of_a_key_are_parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parse the JSON of each key once, however many others it is told apart from."""
+    some = {f"o{n}": n for n in range(3)}
+    keys = [
+        GroupKey(
+            "s", "1", "d", "scene", "", 16, 0.01, 0, 0, 0, "default", json.dumps({**some, "n": n}),
+            json.dumps({"w": n}),
+            json.dumps({"VARIABLE": n}), json.dumps({f"f{n}": ["float32"]}), "[]",
+        )
+        for n in range(20)
+    ]  # fmt: skip
+    parsed: Counter[str] = Counter()
+    loads = json.loads
+
+    def counted(text: str) -> Any:
+        parsed[text] += 1
+        return loads(text)
+
+    monkeypatch.setattr(json, "loads", counted)
+    given = {"s": frozenset({"n"})}
+    assert labels(keys, given) == [f"s [n={n}]" for n in range(20)]
+    assert all(len(notes) == 1 for notes in footnotes(keys))
+    row_names(keys, given, [""] * len(keys))
+    assert set(parsed.values()) == {1}

@@ -21,7 +21,7 @@ from tests.synthetic import grid, write_recording
 GROUND = Support(0.0, (-math.inf, -math.inf), (math.inf, math.inf))
 BOARD = Support(0.02, (0.0, -0.3), (0.6, 0.3))
 
-RADIUS = 0.0173
+RADIUS = np.array([0.0173])
 
 
 def follow(path: list[tuple[float, float, float]], support: Support) -> tuple[bool, int]:
@@ -61,7 +61,7 @@ def test_only_what_is_below_can_have_sunk(path: list[tuple[float, float, float]]
     """Agree with the shortcut that looks at the last row alone."""
     for support in (GROUND, BOARD):
         sank, since = follow(path, support)
-        assert not sank or may_have_sunk(np.array(path[-1]), [support], RADIUS)
+        assert not sank or may_have_sunk(np.array(path[-1:]), [support], RADIUS)
         assert sank == (since > 0)
 
 
@@ -97,6 +97,19 @@ def test_cubes_through_the_floor(tmp_path: Path, scene: str, left: float | None)
     }  # fmt: skip
     (result,) = evaluate_files([path]).results
     assert "bodies through the floor: 1.5 of 27 per env by step 6, the first at step 3" in result.notes
+
+
+def test_every_body_sinks_by_its_own_size(tmp_path: Path) -> None:
+    """Count a cube that is all beneath the board however large another body of its group is."""
+    final = grid(1)
+    final[0, 3, 2] = -0.01  # 3 cm below the top of the board
+
+    def larger(name: str, record: dict[str, Any]) -> None:
+        if name == "scene.json":
+            (body,) = (b for b in record["bodies"] if b["name"] == record["bodies"][-1]["name"])
+            body["shape"]["size"] = [0.3, 0.3, 0.3]
+
+    assert sank(write_recording(tmp_path, final, change=larger)).value == 1
 
 
 def test_a_fall_over_the_edge_is_not_sinking(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs import spread as module
 from gpusimbench.evaluator.runs.spread import Spread, spread
 from gpusimbench.schemas.errors import DamagedRecording
-from tests.synthetic import cubes_field, write_recording
+from tests.synthetic import cubes_field, grid, write_recording
 
 DT = 0.01
 RATE = 8.0
@@ -127,7 +128,7 @@ def test_origins_are_no_distance(tmp_path: Path) -> None:
     """Take what float32 makes of one place at another origin for no distance, and what is beyond for one."""
     origins = ((0.0, 0.0, 0.0), (100.0, 0.0, 0.0), (0.0, 200.0, 0.0))
     at = np.array(origins)[:, None, :]
-    local = np.random.default_rng(0).uniform(size=(1, 27, 3))
+    local = np.random.default_rng(0).uniform(0.05, 1.0, size=(1, 27, 3))  # above the board
 
     def path(start: np.ndarray, step: int) -> np.ndarray:
         return np.asarray((local + at).astype(np.float32))
@@ -176,3 +177,53 @@ def test_refuses_positions_in_other_units(tmp_path: Path) -> None:
     made = write_recording(tmp_path, np.zeros((3, 27, 3)), change=change, field=cubes_field("float64"))
     with pytest.raises(DamagedRecording):
         spread(Recording(made))
+
+
+def test_bodies_that_fell_off_are_in_no_distance(tmp_path: Path) -> None:
+    """Measure cubes on the board, as gsb-diff does, not those that fell, in any environment; all if all fell."""
+
+    def falling(*which: tuple[int, slice]) -> Callable[[np.ndarray, int], np.ndarray]:
+        def path(_: np.ndarray, step: int) -> np.ndarray:
+            x = grid(3)
+            x[1, 4, 0] += 1e-8 * np.exp(9.0 * step * 0.02)
+            for env, bodies in which:
+                x[env, bodies, 2] -= 4.905 * (step * 0.02) ** 2 if step > 5 else 0.0
+            return x
+
+        return path
+
+    fell = ((0, slice(2, 3)), (1, slice(7, 8)))
+    for name, which in (("some", fell), ("none", ()), ("all", [(env, slice(0, 27)) for env in range(3)])):
+        (tmp_path / name).mkdir()
+        path = falling(*which)
+        write_recording(tmp_path / name, path(grid(3), 60), steps=60, dt=0.02, path_of=path)
+    some, none, all_fell = (known(Recording(next((tmp_path / name).glob("*")))) for name in ("some", "none", "all"))
+    assert (some.fallen, none.fallen, all_fell.fallen) == (2, 0, 3 * 27)
+    assert some.largest[-1] == none.largest[-1] == all_fell.largest[-1] == pytest.approx(1e-8 * np.exp(10.8), rel=1e-4)
+    assert some.fit
+    assert some.fit.rate == pytest.approx(9.0, rel=1e-4)
+    # 25 bodies are on the board in three environments, two in two
+    pairs = 25 * 3 + 2
+    assert some.rms[-1] == pytest.approx(some.largest[-1] * np.sqrt(2 / pairs))
+    assert none.rms[-1] == pytest.approx(none.largest[-1] * np.sqrt(2 / (27 * 3)))
+
+
+def test_fallen_bodies_are_left_out_wherever_blocks_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the same distances, whatever is read at a time."""
+    falls = np.random.default_rng(2).uniform(size=(70, 27)) < 0.05
+
+    def path(_: np.ndarray, step: int) -> np.ndarray:
+        x = grid(70) + np.random.default_rng(1).normal(size=(70, 27, 3)) * 1e-6 * step
+        x[falls, 2] -= 4.905 * (step * 0.02) ** 2
+        return x
+
+    recording = Recording(write_recording(tmp_path, path(grid(70), 60), steps=60, dt=0.02, path_of=path))
+    whole = known(recording)
+    monkeypatch.setattr(module, "_READ_BYTES", 1)
+    parts = known(recording)
+    assert whole.fallen == parts.fallen == falls.sum()
+    assert whole.largest == parts.largest
+    assert parts.rms == pytest.approx(whole.rms)
+    on_board = ~(falls | falls[0])
+    x = np.asarray(recording.state("cubes", "position")).astype(np.float64)[-1]
+    assert whole.largest[-1] == pytest.approx(np.linalg.norm(x - x[0], axis=-1)[on_board].max())

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.cli import entry
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture import state_work
 from gpusimbench.recorder.capture.sink import Sink
@@ -22,6 +21,7 @@ from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.writer import Part
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Buffer, OverflowBit
+from gpusimbench.schemas.text import SIGNS
 from tests.conftest import Command
 from tests.synthetic import Shown, cubes_field, grid, metrics_of, write_recording
 
@@ -279,8 +279,9 @@ def test_signs_that_an_encoding_lacks_keep_their_meaning(gsb_eval: Command) -> N
 
 
 def test_marks_of_footnotes_in_ascii() -> None:
-    """Print which footnote a row has, and not a question mark."""
-    assert "mjx ¹, warp ¹⁰, R² “a”".encode("ascii", entry.SIGNS) == b'mjx ^1, warp ^1^0, R^2 "a"'
+    """Print which footnote a row has, and what a file is called, and not a question mark."""
+    assert "run-é ± 1".encode("ascii", SIGNS) == rb"run-\xe9 +- 1"
+    assert "mjx ¹, warp ¹⁰, R² “a”".encode("ascii", SIGNS) == b'mjx ^1, warp ^1^0, R^2 "a"'
 
 
 def test_env_local_positions_are_not_shifted_again(gsb_eval: Command, tmp_path: Path) -> None:

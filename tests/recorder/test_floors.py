@@ -52,6 +52,13 @@ def test_planes_that_hold_free_bodies(given_model: dict[str, str], reach: float 
     assert [floor["reach"] for floor in found] == ([] if reach is None else [pytest.approx(reach)])
 
 
+def test_every_free_body_has_its_own_reach() -> None:
+    """Tell how far each free body reaches, so that a small one sinks by its own size."""
+    rest = '<body name="small" pos="0 0 2"><freejoint/><geom size=".01"/></body>'
+    (floor,) = floors_of(mujoco.MjModel.from_xml_string(_model(rest=rest)))
+    assert floor["reaches"] == pytest.approx({"ball": 0.1, "small": 0.01})
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["hinge", "slide", "ball"]))
 def test_nothing_reaches_further(seed: int, joint: str) -> None:
@@ -72,6 +79,24 @@ def test_nothing_reaches_further(seed: int, joint: str) -> None:
         mujoco.mj_kinematics(model, data)
         far = np.linalg.norm(data.geom_xpos[1:] - data.xpos[1], axis=1) + model.geom_rbound[1:]
         assert far.max() <= floor["reach"] + 1e-9
+
+
+def test_a_small_body_beside_a_large_one_is_counted(tmp_path: Path) -> None:
+    """Count a ball of 1 cm that fell by 5 cm through the floor that holds one of 10 cm."""
+    small = (
+        '<body name="small" pos=".5 0 .27"><freejoint/>'
+        '<geom name="soft" size=".01" solref="-.001 -.001" priority="1"/></body>'
+    )
+    path = tmp_path / "balls.xml"
+    path.write_text(_model(rest=small))
+    common = ("--n-env", "1", "--runs", "1", "--phases", "capture", "--steps", "60", "--no-view")
+    call("gsb-record", "--sim", "mujoco", "--model", path, *common, "--out", tmp_path / "out", code=0)
+    (file,) = (tmp_path / "out").glob("*.mcap")
+    height = open_recording(file).state("bodies", "position").at_step(60)[0, 1, 2]
+    assert 0.25 - 0.1 < height < 0.25 - 0.01
+    found = count_sunk(open_recording(file))
+    assert not isinstance(found, Missing)
+    assert found.per_env == (1,)
 
 
 @pytest.mark.parametrize(("contact", "sunk"), [('solref=".02 1"', 0), ('solref="-.001 -.001"', 1)])

@@ -131,6 +131,29 @@ def test_what_stands_still_is_part_of_the_world(zoo: Path) -> None:
     )
 
 
+def test_what_a_model_has_beside_shapes_is_named() -> None:
+    """Name in a line what MuJoCo's viewer shows and the picture has not; leave out what that viewer hides, too."""
+    tendons = (
+        '<spatial><site site="a"/><site site="b"/></spatial>'
+        '<spatial group="4"><site site="a"/><site site="b"/></spatial>'
+        '<fixed><joint joint="j" coef="1"/></fixed>'
+    )
+    flex = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing=".1 .1 .1" dim="2" mass="1"/>'
+    body = '<body><joint name="j"/><geom size=".1"/><site name="b"/></body>'
+
+    def notes(sites: str, rest: str = "", tendon: str = "") -> list[str]:
+        world = f"<worldbody>{sites}{body}{rest}</worldbody><tendon>{tendon}</tendon>"
+        found: list[str] = json.loads(geometry_of(mujoco.MjModel.from_xml_string(f"<mujoco>{world}</mujoco>")))[
+            "simplified"
+        ]
+        return found
+
+    seen, hidden = '<site name="a" pos="0 0 1"/>', '<site name="a" rgba="1 0 0 0"/>'
+    assert notes(seen, flex, tendons) == ["flexible bodies (1), spatial tendons (1) and sites (2) are not drawn"]
+    assert notes(hidden, tendon=tendons) == ["spatial tendons (1) and sites (1) are not drawn"]
+    assert notes(hidden) == ["sites (1) are not drawn"]
+
+
 def test_large_meshes_are_simplified(tmp_path: Path) -> None:
     """Draw a ball of 20 000 triangles, twice, with as few as the file has room for, and say so."""
     points, triangles = _ball(101)

@@ -239,6 +239,45 @@ def test_a_process_is_killed(who: str, when: str, tmp_path: Path) -> None:
     assert recording.status == "incomplete"
 
 
+@pytest.mark.parametrize("copy", [False, True])
+def test_a_process_is_stopped(copy: bool, tmp_path: Path, process: pytest.MonkeyPatch) -> None:
+    """Do not wait for ever where one that works is stopped: kill all of them, and say that data are lost."""
+    process.setattr(work_process, "_LOOK_S", 0.05)
+    process.setattr(work_process, "_SILENT_S", 1.0)
+    rows, working = drawn(200, 100), []
+
+    def record() -> None:
+        with writer(tmp_path / "a.mcap") as log:
+            log.append(*(array[:100] for array in rows))
+            working.extend([helper(), *helper().children()])
+            working[-1 if copy else 0].suspend()
+            log.append(*(array[100:] for array in rows))
+
+    with pytest.raises(
+        DataLost, match=r"did nothing for 1 s: it was stopped, or hangs, and has been killed; what was wr"
+    ):
+        record()
+    assert not psutil.wait_procs(working, timeout=60)[1]
+    recording = open_recording(tmp_path / "a.mcap.partial")
+    verify(recording)
+    assert recording.status == "incomplete"
+
+
+def test_a_job_that_is_stopped_goes_on(tmp_path: Path, process: pytest.MonkeyPatch) -> None:
+    """Write everything where one that works was stopped for less time than that."""
+    process.setattr(work_process, "_LOOK_S", 0.05)
+    rows = drawn(200, 100)
+    with writer(tmp_path / "a.mcap") as log:
+        log.append(*(array[:100] for array in rows))
+        stopped = helper()
+        stopped.suspend()
+        threading.Timer(0.5, stopped.resume).start()
+        log.append(*(array[100:] for array in rows))
+    recording = open_recording(tmp_path / "a.mcap")
+    verify(recording)
+    assert recording.status == "complete"
+
+
 def test_a_program_that_goes_on_after_that(tmp_path: Path) -> None:
     """Refuse all rows after data were lost."""
     rows = drawn(200, 100)

@@ -24,6 +24,8 @@ from gpusimbench.evaluator.statistics.change_points import (
     steps_of,
 )
 
+FACT = Missing("a fact: the values of all runs of a point are equal")
+
 _MOST = 1e100
 """A file may hold any number; larger ones, and those below the inverse, are not compared."""
 
@@ -60,7 +62,7 @@ class Shift:
     change           the verdict
     before, after    levels between changes: geometric means over points where all values are positive [unit]
     ratio, ci95      after / before, with a 95 % interval; None where there is none
-    p_value          of the search in this curve; None where the change is a fact
+    p_value          of the search in this curve, or why there is none: the change is a fact, or points show no noise
     """
 
     point: int
@@ -70,7 +72,7 @@ class Shift:
     after: float
     ratio: float | None
     ci95: tuple[float, float] | None
-    p_value: float | None
+    p_value: float | Missing
 
 
 @dataclass(frozen=True)
@@ -236,5 +238,5 @@ def _judged(curve: Curve, index: int, before: float, after: float, settings: Set
         after=after / scale,
         ratio=after / before if before > 0 else None,
         ci95=None,
-        p_value=None,
+        p_value=FACT,
     )

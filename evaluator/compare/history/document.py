@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from gpusimbench.evaluator.compare.finding import FAILING, Change
 from gpusimbench.evaluator.compare.history import words
-from gpusimbench.evaluator.compare.history.curves import Curve, Sample, Shift
+from gpusimbench.evaluator.compare.history.curves import FACT, Curve, Sample, Shift
 from gpusimbench.evaluator.compare.history.history import Event, History, Traced
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
@@ -47,7 +47,10 @@ _METHOD = (
     "one recording session to the next count as noise. Chance of any false alarm among all curves: at most {alpha}, "
     "if points without a change are independent and normally distributed."
 )
-_FACTS = "Changes without a p are facts: bits, runs that fail, or values that are the same in every run of a point."
+_FACTS = (
+    "Facts have no p: bits, runs that fail, or values that are equal in all runs of a point. Other changes have none "
+    "where the points of each level are equal: nothing shows how much points differ by chance."
+)
 
 
 def short(history: History) -> Document:
@@ -121,8 +124,10 @@ def _changes(history: History) -> Table:
 
 
 def _p_value(event: Event) -> Cell:
-    p = event.shift.p_value if event.shift else None
-    return Cell("fact", tone=Tone.QUIET) if p is None else Cell(f"{p:.2g}" if p >= 1e-12 else "< 1e-12", p)
+    p = event.shift.p_value if event.shift else FACT
+    if isinstance(p, Missing):
+        return Cell("fact" if p is FACT else "none", tone=Tone.QUIET)
+    return Cell(f"{p:.2g}" if p >= 1e-12 else "< 1e-12", p)
 
 
 def _keys(history: History) -> list[str]:

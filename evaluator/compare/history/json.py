@@ -85,7 +85,7 @@ def _curve(curve: Curve, history: History) -> dict[str, Any]:
         "smallest_visible": curve.visible,
         "why_not": curve.why_not or None,
         "points": [_sample(sample) for sample in curve.samples],
-        "changes": [_shift(shift, history) for shift in curve.shifts],
+        "changes": [_shift(shift, curve, history) for shift in curve.shifts],
     }
 
 
@@ -95,9 +95,9 @@ def _sample(sample: Sample) -> dict[str, Any]:
     return {**record, "ci95": None} if why_not else record
 
 
-def _shift(shift: Shift, history: History) -> dict[str, Any]:
+def _shift(shift: Shift, curve: Curve, history: History) -> dict[str, Any]:
     record: dict[str, Any] = values_of(shift)
-    return {**record, "label": history.points[shift.point].label, "exact": shift.p_value is None}
+    return {**record, "label": history.points[shift.point].label, "exact": curve.exact}
 
 
 def _fact(fact: Fact, history: History) -> dict[str, Any]:

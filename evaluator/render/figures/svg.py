@@ -50,7 +50,8 @@ def title(content: str) -> str:
 def figure(width: float, height: float, label: str, *children: str) -> str:
     """The outermost element: a picture with a label for those who cannot see it."""
     box = f"0 0 {number(width)} {number(height)}"
-    return element("svg", *children, viewBox=box, role="img", aria_label=label, style=f"max-width:{width / 14:.1f}rem")
+    style = f"--units:{number(width)};max-width:{width / 14:.1f}rem"
+    return element("svg", *children, viewBox=box, role="img", aria_label=label, style=style)
 
 
 def open_path(points: Iterable[Sequence[float]]) -> str:

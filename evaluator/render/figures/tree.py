@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from gpusimbench.evaluator.metrics.identity import Branch, SplitTree
 from gpusimbench.evaluator.render.figures import axis
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
+from gpusimbench.schemas.text import in_ranges
 
 _WIDTH = 480.0
 _LEFT, _RIGHT, _TOP = 44.0, 150.0, 10.0
@@ -69,19 +70,6 @@ def members(branch: Branch, of: str, names: Sequence[int]) -> str:
         return f"{of} {shown}"
     more = "" if len(branch.members) == branch.stayed or shown.endswith("...") else ", ..."
     return f"{branch.stayed} {of}s: {shown}{more}"
-
-
-def in_ranges(numbers: Sequence[int], *, at_most: int) -> str:
-    """Increasing numbers as "0, 3-5, 8", at most so many parts and then "..."."""
-    parts: list[list[int]] = []
-    for n in numbers:
-        if parts and n == parts[-1][-1] + 1:
-            parts[-1] = [parts[-1][0], n]
-        else:
-            parts.append([n, n])
-    # two neighbours are written one by one
-    said = [f"{a}" if a == b else f"{a}, {b}" if b == a + 1 else f"{a}\u2013{b}" for a, b in parts[:at_most]]
-    return ", ".join([*said, *(["..."] if len(parts) > at_most else [])])
 
 
 def _order(tree: SplitTree) -> list[int]:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.document import Block, Document, Embed, Figure, Numbers, Section, Text, key_of
 from gpusimbench.evaluator.render.figures import matrix
-from gpusimbench.evaluator.render.figures.tree import in_ranges
 from gpusimbench.evaluator.report.sections.rows import footnotes_below, ordered, titled, with_lines, without
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, DistinctEnvs
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.text import in_ranges
 
 _HOW = (
     "Each cell is the distance [cm] between two environments of one run, or between two runs. All matrices share "

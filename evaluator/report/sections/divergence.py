@@ -224,7 +224,7 @@ def _curves(result: GroupResult) -> Iterator[chart.Curve]:
 
 def _said(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
     what = _followed(result)[1]
-    points, ends = len(curves[0].times), [float(c.largest[-1]) for c in curves if np.isfinite(c.largest[-1])]
+    points = len(curves[0].times)
     thick, thin = ("Filled", "Open") if points < chart.LINE_FROM else ("Thick", "Thin")
     said = [
         f"{thick}: the largest distance of a {what} from where it is in environment 0. {thin}: root mean square, all "
@@ -242,8 +242,8 @@ def _said(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
         said.append(f"States were recorded at {plural(points, 'step')}: too few for a line, and for a growth rate.")
     elif why_not := why_missing(result.metrics["divergence_rate"].value):
         said.append(f"No growth rate: {why_not.removeprefix('no rate: ')}.")
-    if ends and max(ends) > 1 and any(run.board for run in result.group.recordings):
-        said.append("A body that left the board falls on, which makes distances of metres.")
+    if fallen := max(s.spread.fallen for s in _spreads(result) if s.spread):
+        said.append(f"Without bodies that fell off the board, unless all did: up to {fallen} in a run.")
     return " ".join(said)
 
 

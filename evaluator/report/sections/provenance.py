@@ -22,7 +22,6 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.figures.tree import in_ranges
 from gpusimbench.evaluator.render.numbers import figure, interval, mean_sd
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.sections.rows import by_simulator, facets
@@ -31,7 +30,7 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.configuration import TELLING
-from gpusimbench.schemas.text import cut, first, plural
+from gpusimbench.schemas.text import cut, first, in_ranges, plural
 
 _DEPTH = 3
 _PARTS = 20  # of a list of runs, and then "..."

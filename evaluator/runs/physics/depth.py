@@ -21,7 +21,7 @@ from gpusimbench.evaluator.metrics.physics.solids import (
 from gpusimbench.evaluator.metrics.physics.vectors import largest, length, square
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.read.scene import radius_of, supports_of
+from gpusimbench.evaluator.read.scene import radii_of, supports_of
 from gpusimbench.evaluator.runs.outcome import OutcomeArray, outcome_of
 from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, measured
 from gpusimbench.evaluator.runs.physics.setting import Setting
@@ -262,10 +262,10 @@ def count_sunk(recording: Recording) -> Sunk | Missing:
     last_step = int(array.steps[-1])
     lost = Missing("a position is not finite at the last captured step: whether that body sank is not known")
     known = bool(np.isfinite(last).all())
-    radius = max(radius_of(recording, field.group) for field in fields)
-    if not may_have_sunk(last, supports, radius):
+    radii = np.concatenate([radii_of(recording, field) for field in fields])
+    if not may_have_sunk(last, supports, radii):
         return Sunk((0,) * n_env, cubes, last_step, None) if known else lost
-    following = Sinking(in_env_frame(recording, array.field, array.at_step(int(array.steps[0]))), supports, radius)
+    following = Sinking(in_env_frame(recording, array.field, array.at_step(int(array.steps[0]))), supports, radii)
     count = max(1, _ROW_BYTES // last.nbytes)
     for begin in range(1, len(array), count):
         for row in array.read(slice(begin, begin + count)):

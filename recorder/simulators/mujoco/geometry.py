@@ -11,7 +11,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco import mjtDisableBit, mjtGeom, mjtJoint
+from mujoco import mjtDisableBit, mjtGeom, mjtJoint, mjtWrap
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.model import BALLS, BODIES, JOINTS, moving
@@ -21,17 +21,20 @@ from gpusimbench.schemas.view.shapes import MAX_LINKS
 _LEVEL = 1 - 1e-12  # of the normal's component along z
 
 
-def floors_of(model: Any) -> list[dict[str, float]]:
+def floors_of(model: Any) -> list[dict[str, Any]]:
     """Planes of a mujoco.MjModel that are level, never move, and collide with every free body or what hangs on it.
 
-    height  of the plane [m]
-    reach   no point of a free body, or of what hangs on it, is ever further from the body's origin [m]
+    height   of the plane [m]
+    reach    no point of a free body, or of what hangs on it, is ever further from the body's origin [m]
+    reaches  the same of each free body, by its name
     """
     if model.opt.disableflags & int(mjtDisableBit.mjDSBL_CONTACT | mjtDisableBit.mjDSBL_CONSTRAINT):
         return []
-    roots = [int(model.jnt_bodyid[joint]) for joint in moving(model, mjtJoint.mjJNT_FREE).joints]
+    free = moving(model, mjtJoint.mjJNT_FREE)
+    roots = [int(model.jnt_bodyid[joint]) for joint in free.joints]
     solids = [[g for g in range(model.ngeom) if root in _line(model, int(model.geom_bodyid[g]))] for root in roots]
-    reach = max((_reach(model, root, g) for root, some in zip(roots, solids, strict=True) for g in some), default=0.0)
+    reaches = [max((_reach(model, root, g) for g in of), default=0.0) for root, of in zip(roots, solids, strict=True)]
+    reach = max(reaches, default=0.0)
     if not all(solids) or not 0 < reach < math.inf:
         return []
     data = mujoco.MjData(model)
@@ -42,7 +45,11 @@ def floors_of(model: Any) -> list[dict[str, float]]:
         if not model.body_weldid[model.geom_bodyid[geom]] and data.geom_xmat[geom][8] >= _LEVEL
     ]
     return [
-        {"height": float(data.geom_xpos[plane][2]), "reach": reach}
+        {
+            "height": float(data.geom_xpos[plane][2]),
+            "reach": reach,
+            "reaches": dict(zip(free.names, reaches, strict=True)),
+        }
         for plane in planes
         if all(any(_collide(model, plane, geom) for geom in some) for some in solids)
     ]
@@ -181,15 +188,25 @@ class _Shapes:
             yield f"{boxes} meshes or height fields are drawn as boxes: there is no room for their triangles"
         if hidden := m.ngeom - len(self.shown):
             yield f"{hidden} shapes are not drawn, as in MuJoCo's own viewer: transparent ones, and geom groups 3 to 5"
-        soft = [f"{what} ({n})" for what, n in (("flexible bodies", m.nflex), ("skins", m.nskin)) if n]
-        if soft:
-            yield f"{' and '.join(soft)} are not drawn"
+        others = {
+            "flexible bodies": m.nflex,
+            "skins": m.nskin,
+            "spatial tendons": sum(
+                self._visible(m.tendon_group, m.tendon_rgba, m.tendon_matid, t) for t in _spatial(m)
+            ),
+            "sites": sum(self._visible(m.site_group, m.site_rgba, m.site_matid, site) for site in range(m.nsite)),
+        }
+        if said := [f"{what} ({n})" for what, n in others.items() if n]:
+            yield f"{' and '.join([*([', '.join(said[:-1])] if said[1:] else []), said[-1]])} are not drawn"
 
     def _seen(self, geom: int) -> bool:
         m = self._model
-        material = m.geom_matid[geom]
-        alphas = [m.geom_rgba[geom, 3], *([m.mat_rgba[material, 3]] if material >= 0 else [])]
-        return bool(m.geom_group[geom] < _GROUPS and min(alphas) > 0)
+        return self._visible(m.geom_group, m.geom_rgba, m.geom_matid, geom)
+
+    def _visible(self, groups: Any, colours: Any, materials: Any, number: int) -> bool:
+        material = materials[number]
+        alphas = [colours[number, 3], *([self._model.mat_rgba[material, 3]] if material >= 0 else [])]
+        return bool(groups[number] < _GROUPS and min(alphas) > 0)
 
     def _record(self, geom: int) -> dict[str, Any]:
         m = self._model
@@ -258,6 +275,11 @@ class _Shapes:
                 if len(found[1]) < before:
                     self._reduced[key] = len(found[1]), before
         return self._numbers[key]
+
+
+def _spatial(model: Any) -> list[int]:
+    """Tendons that run through space, and are no sums of joints."""
+    return [t for t in range(model.ntendon) if model.wrap_type[model.tendon_adr[t]] != mjtWrap.mjWRAP_JOINT]
 
 
 def fewer(points: Points, triangles: Triangles, most: int) -> tuple[Points, Triangles] | None:

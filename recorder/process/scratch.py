@@ -1,0 +1,53 @@
+"""The folder that the process of a run works in; and those that nobody is left to remove.
+
+A run's process removes its folder even if its recorder was killed. Where both were killed, a later run removes it: the
+file that a run prints to is locked for as long as any process of the run, or its recorder, has it open.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import stat
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from io import FileIO
+from pathlib import Path
+
+from gpusimbench.schemas.writing import create, reopen
+
+OUTPUT = "output"
+"""In the folder: what the run's process prints."""
+
+_PREFIX = "gsb-run-"
+_FRESH_S = 60.0  # a folder this young may not have its lock yet
+
+
+@contextmanager
+def scratch_folder() -> Iterator[tuple[Path, FileIO]]:
+    """A new folder and its open OUTPUT, which the run's process has to inherit; the folder is removed afterwards."""
+    remove_abandoned()
+    folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    try:
+        with create(folder / OUTPUT) as output:
+            with suppress(OSError):  # a file system without locks: then nobody finds it abandoned, either
+                fcntl.flock(output, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield folder, output
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_abandoned() -> None:
+    """Remove the folders of this user's runs of which no process is left."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+        with suppress(OSError):  # of another user, or removed meanwhile
+            found = folder.lstat()
+            young = time.time() - found.st_mtime < _FRESH_S
+            if young or found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode):
+                continue
+            with reopen(folder / OUTPUT) as output:
+                fcntl.flock(output, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder, ignore_errors=True)
