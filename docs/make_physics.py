@@ -47,7 +47,7 @@ def judged(paths: Iterable[Path]) -> list[tuple[Fidelity, float]]:
         (fidelity(label, [physics_of(recording) for recording in one.complete]), one.key.dt)
         for one, label in zip(groups, names, strict=True)
     ]
-    return [(one, dt) for one, dt in found if not one.why_not]
+    return [(one, dt) for one, dt in found if not one.checks_missing]
 
 
 def shipped() -> list[tuple[Fidelity, float]]:

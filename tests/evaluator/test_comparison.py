@@ -54,8 +54,7 @@ def test_what_is_wrong_in_another_scene_bars_a_pick(tmp_path: Path) -> None:
         reason="a state is not finite", environment={"SOME": "variable"},
     )  # fmt: skip
     found = need(compared(tmp_path), REPRODUCIBLE)
-    assert found.pick is not None
-    assert "solver=b" in found.pick
+    assert found.pick and "solver=b" in found.pick
     (barred,) = found.barred
     assert barred.endswith("1 of 1 run is INVALID (not finite) (free-fall)")
 

@@ -117,7 +117,7 @@ def test_evaluated(varied: tuple[Path, ...], gsb_eval: Command) -> None:
     (group,) = json.loads(done.stdout)["groups"]
     assert group["vary"] == VARY
     assert group["metrics"]["distinct_runs"]["value"] == 1
-    assert group["metrics"]["distinct_envs"]["why_not"] == f"environments differ by --vary {VARY}"
+    assert group["metrics"]["distinct_envs"]["value_missing"] == f"environments differ by --vary {VARY}"
     assert "not compared: environments differ by --vary" in " ".join(gsb_eval(*varied[:2]).stdout.split())
 
 

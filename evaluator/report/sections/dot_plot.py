@@ -85,7 +85,7 @@ def _mechanics(contenders: tuple[Contender, ...]) -> Figure:
         name = _label(contender)
         found = contender.group.fidelity if contender.group else None
         if found is None or not found.rows:
-            why_not = found.why_not if found else "no group of it ran under the shared conditions"
+            why_not = found.checks_missing if found else "no group of it ran under the shared conditions"
             missing.setdefault(why_not, []).append(name)
             continue
         broken = found.of(Verdict.BROKEN)
