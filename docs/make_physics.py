@@ -99,7 +99,7 @@ def at_the_end(found: Sequence[tuple[Fidelity, float]]) -> str:
     for one, _ in found:
         rows = {row.check: row for row in one.rows}
         cells = [cell(rows.get(check)) for check in _AT_THE_END]
-        lines.append(f"| {one.label} | {one.runs} | {' | '.join(cells)} |")
+        lines.append(f"| {one.label} | {one.n_run} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

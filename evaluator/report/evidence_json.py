@@ -55,8 +55,8 @@ def contender_record(contender: Contender) -> dict[str, Any]:
         "sweep_with_robot": contender.robot.label if contender.robot else None,
         "n_env_max": contender.figures.n_max,
         "values": {
-            **{axis.value: estimate_record(metric) for axis, metric in contender.metrics.items()},
-            **{axis.value: entry("value", Missing(why)) for axis, why in contender.why_not.items()},
+            axis.value: entry("value", found) if isinstance(found, Missing) else estimate_record(found)
+            for axis, found in contender.metrics.items()
         },
         "checks_broken": len(checked.of(Verdict.BROKEN)) if checked and checked.rows else None,
         "checks_held": checked.held if checked and checked.rows else None,

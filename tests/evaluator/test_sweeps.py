@@ -243,7 +243,7 @@ def test_radar_without_a_shared_sweep(tmp_path: Path) -> None:
     comparison = evaluated(tmp_path).comparison
     assert [c.figures.n_max for c in comparison.contenders] == [None, None]
     assert {c.figures.name for c in comparison.contenders} == {"swept [n_env=4]", "single"}
-    assert "needs a sweep" in comparison.contenders[0].why_not[Axis.PARALLELISM]
+    assert "needs a sweep" in why_missing(comparison.contenders[0].metrics[Axis.PARALLELISM])
     assert "needs a sweep" in render_html(evaluated(tmp_path), published=False, command="")
 
 

@@ -177,7 +177,7 @@ def test_probed(arms: Path) -> None:
     answers = {answer["key"]: answer for answer in probe["answers"]}
     assert probe["vary"] == VARY
     assert answers["envs"]["answer"] == Answer.NOT_ASKED
-    assert answers["envs"]["why"] == f"environments differ by --vary {VARY}"
+    assert answers["envs"]["reason"] == f"environments differ by --vary {VARY}"
     for key in (
         "runs",
         "capture",
