@@ -178,7 +178,7 @@ def _best(sweep: Sweep) -> SweepPoint:
 
 def _memory(sweep: Sweep) -> str:
     model = sweep.models.get(sweep.memory)
-    if model is None:
+    if not model:
         return _NONE
     off = f"off by up to {100 * model.largest_residual:.0f} %"
     return f"{model.fixed / 1e6:,.0f} MB + {model.per_env / 1e3:,.0f} kB per env, {off}"

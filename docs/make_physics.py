@@ -47,7 +47,7 @@ def judged(paths: Iterable[Path]) -> list[tuple[Fidelity, float]]:
         (fidelity(label, [physics_of(recording) for recording in one.complete]), one.key.dt)
         for one, label in zip(groups, names, strict=True)
     ]
-    return [(one, dt) for one, dt in found if not one.why_not]
+    return [(one, dt) for one, dt in found if not one.checks_missing]
 
 
 def shipped() -> list[tuple[Fidelity, float]]:
@@ -99,7 +99,7 @@ def at_the_end(found: Sequence[tuple[Fidelity, float]]) -> str:
     for one, _ in found:
         rows = {row.check: row for row in one.rows}
         cells = [cell(rows.get(check)) for check in _AT_THE_END]
-        lines.append(f"| {one.label} | {one.runs} | {' | '.join(cells)} |")
+        lines.append(f"| {one.label} | {one.n_run} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -15,15 +15,25 @@ from gpusimbench.schemas.location import Location
 
 _DEEPEST = 8
 
+SCHEMA_VERSION = 2
+"""Of the JSON of all commands of the evaluator: it counts, from 1, the releases in which a key vanished or changed its
+meaning."""
+
+MISSING = "_missing"
+"""Behind the name of a key: that of the key with the reason why there is no value."""
+
 
 def values_of(result: Any) -> Any:
     """A result as JSON has it: dataclasses by the names of their fields, numbers that are not finite as null.
 
-    A field `x` that may be Missing is null then; `no_x` beside it has the reason, and is empty where there is a value.
-    For this project's own results. A stranger's JSON goes through `plain`, which bounds its depth.
+    A field that may be Missing has its reason beside it: see `entry`. Missing by itself, in a list or under a name that
+    is no key of ours, is an object with the reason alone, `missing`. For this project's own results. A stranger's JSON
+    goes through `plain`, which bounds its depth.
     """
+    if isinstance(result, Missing):
+        return {MISSING.lstrip("_"): result.reason}
     if is_dataclass(result) and not isinstance(result, type):
-        return dict(_entries(result))
+        return picked(result, *(field.name for field in fields(result)))
     if isinstance(result, Mapping):
         return {str(key): values_of(item) for key, item in result.items()}
     if isinstance(result, (list, tuple)):
@@ -41,17 +51,34 @@ def values_of(result: Any) -> Any:
     return values_of(result.item())  # a number of numpy's
 
 
-def picked(result: Any, names: str) -> dict[str, Any]:
-    """Attributes of a result as JSON has them, under their own names: "n_env dt seed". What is Missing is null."""
-    return {name: values_of(known(getattr(result, name))) for name in names.split()}
+def entry(name: str, value: Any, reason: str = "") -> dict[str, Any]:
+    """A value that may be missing, and the reason: `x` is null then, and `x_missing` is empty where there is a value.
+
+    reason  where the value does not say it itself, as Missing does
+    """
+    return {name: values_of(known(value)), name + MISSING: why_missing(value) or reason}
 
 
-def _entries(result: Any) -> Iterator[tuple[str, Any]]:
-    for field in fields(result):
-        value = getattr(result, field.name)
-        yield field.name, None if isinstance(value, Missing) else values_of(value)
-        if Missing.__name__ in str(field.type):
-            yield f"no_{field.name}", why_missing(value)
+def picked(result: Any, *names: str) -> dict[str, Any]:
+    """Attributes of a result as JSON has them, under their own names: "n_env dt seed".
+
+    What may be Missing is an `entry`. The declared type says whether it may be, so that every document has the key with
+    the reason.
+    """
+    types = {field.name: str(field.type) for field in fields(result)} if is_dataclass(result) else {}
+    found: dict[str, Any] = {}
+    for name in " ".join(names).split():
+        value = getattr(result, name)
+        if isinstance(value, Missing) or Missing.__name__ in types.get(name, ""):
+            found |= entry(name, value)
+        else:
+            found[name] = values_of(value)
+    return found
+
+
+def document_of(record: Mapping[str, Any]) -> dict[str, Any]:
+    """What a command writes, behind the version of its keys."""
+    return {"schema_version": SCHEMA_VERSION, **values_of(record)}
 
 
 def dump(document: Any) -> str:

@@ -14,15 +14,14 @@ from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference, Verdict
 from gpusimbench.evaluator.diff.sections import remarks
 from gpusimbench.evaluator.diff.verdict import verdict_of
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, values_of
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Item, Items, Text, Tone, facts
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import NothingComparable, RecordingError
 from gpusimbench.schemas.text import few, plural
-
-SCHEMA_VERSION = 1
 
 _HOW = " The program has to record: gpusimbench.wrap(envs, 'a.mcap'), or RecordingWriter, with a relative path."
 _NAMES = 4
@@ -35,13 +34,12 @@ class Compared:
 
     name         of the recording within the folder of a run
     run          number of the other run, from 1
-    difference   a is of the first run; None where they cannot be compared, and `why_not` says why
+    difference   a is of the first run; or why they cannot be compared
     """
 
     name: str
     run: int
-    difference: Difference | None
-    why_not: str = ""
+    difference: Difference | Missing
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ class Comparison:
     @property
     def verdict(self) -> Verdict | None:
         """What all comparisons come to; None where there is none."""
-        found = [one.difference.verdict for one in self.compared if one.difference is not None]
+        found = [one.difference.verdict for one in self.compared if one.difference]
         order = list(Verdict)
         return order[max(map(order.index, found))] if found else None
 
@@ -76,7 +74,7 @@ class Comparison:
     @property
     def whole(self) -> bool:
         """Whether all recordings of all runs were compared, in all that they have."""
-        differences = [one.difference for one in self.compared if one.difference is not None]
+        differences = [one.difference for one in self.compared if one.difference]
         return not (self.left_out or self.damaged) and not any(d.compared.left_out or d.lost for d in differences)
 
 
@@ -112,7 +110,11 @@ def compare_runs(command: Sequence[str], runs: Sequence[ProgramRun]) -> Comparis
         other = _verified(b, number, damaged)
         if first is not None and other is not None:
             compared.append(_compared(name, number, first, other))
-    left_out += [f"{one.name} of run {one.run}: {one.why_not}" for one in compared if one.difference is None]
+    left_out += [
+        f"{one.name} of run {one.run}: {one.difference.reason}"
+        for one in compared
+        if isinstance(one.difference, Missing)
+    ]
     return Comparison(tuple(command), tuple(runs), tuple(compared), tuple(left_out), tuple(damaged))
 
 
@@ -135,7 +137,7 @@ def _compared(name: str, number: int, a: Recording, b: Recording) -> Compared:
     try:
         return Compared(name, number, compare(a, b))
     except NothingComparable as error:
-        return Compared(name, number, None, str(error))
+        return Compared(name, number, Missing(str(error)))
 
 
 def runs_document(found: Comparison) -> Document:
@@ -146,7 +148,7 @@ def runs_document(found: Comparison) -> Document:
     if found.left_out:
         blocks.append(Items(tuple(Item(f"  not compared: {said}", Tone.WARNING) for said in found.left_out)))
     shown = _shown(found)
-    if shown is not None and shown.difference is not None:
+    if shown is not None and shown.difference:
         blocks.append(Text(f"  {shown.name} of run 0 (a) and of run {shown.run} (b):"))
         blocks += [brief(shown.difference, every=False), *remarks(shown.difference, every=False)]
         if shown.difference.program is not None and shown.difference.different:
@@ -157,7 +159,7 @@ def runs_document(found: Comparison) -> Document:
 def dump_json(found: Comparison) -> str:
     """The document that ``gsb-run --json`` writes."""
     verdict = found.verdict.value if found.verdict else None
-    return dump({"schema_version": SCHEMA_VERSION, "verdict": verdict, "all_compared": found.whole, **values_of(found)})
+    return dump(document_of({"verdict": verdict, "all_compared": found.whole, **values_of(found)}))
 
 
 def _shown(found: Comparison) -> Compared | None:
@@ -167,7 +169,7 @@ def _shown(found: Comparison) -> Compared | None:
         of = one.difference
         return not (of and of.different), not (of and (of.compared.left_out or of.lost))
 
-    return min((one for one in found.compared if one.difference is not None), key=order, default=None)
+    return min((one for one in found.compared if one.difference), key=order, default=None)
 
 
 def _verdicts(found: Comparison) -> list[Block]:
@@ -184,7 +186,7 @@ def _verdicts(found: Comparison) -> list[Block]:
     return [
         verdict_of(one.difference, f"Run 0 and run {one.run}{f' of {one.name}' if several else ''}")
         for one in found.compared
-        if one.difference is not None
+        if one.difference
     ]
 
 

@@ -15,6 +15,8 @@ from typing import Any
 
 import pytest
 
+from tests.json_keys import Keys, check, keys_of, write
+
 ROOT = Path(__file__).resolve().parent.parent
 GOLDEN = Path(__file__).resolve().parent / "golden"
 _TOP = ("amd-r0", "amd-r1", "amd-r2", "pyramidal-r0", "pyramidal-r1", "xeon-r0", "xeon-r1", "xeon-r2")
@@ -33,6 +35,7 @@ COMMANDS = {
         *(f"{_H200}{r}.mcap" for r in range(4, 8)), "--no-cache",
     ),
 }  # fmt: skip
+LISTED = ("check", "compare", "diff")  # info has what strangers wrote; eval: tests/evaluator/test_json_page.py
 _RELATIVE = 1e-9  # another processor rounds sums otherwise
 
 
@@ -49,6 +52,12 @@ def said(name: str) -> Any:
         argv = recorded["provenance"]["argv"]  # a folder of the machine that recorded is none of what is kept
         argv[:] = ["FOLDER" if before == "--out" else text for before, text in zip(["", *argv], argv, strict=False)]
     return document
+
+
+def listed(verb: str) -> Keys:
+    """The keys of the kept files of a command."""
+    files = [GOLDEN / f"{name}.json" for name, (command, *_) in COMMANDS.items() if command == verb]
+    return keys_of(json.loads(file.read_text(encoding="utf-8")) for file in files)
 
 
 def differences(kept: Any, found: Any, where: str = "") -> list[str]:
@@ -76,6 +85,12 @@ def test_json_is_what_it_was(name: str) -> None:
     assert differences(kept, said(name)) == []
 
 
+@pytest.mark.parametrize("verb", LISTED)
+def test_no_key_vanishes_while_the_version_stays(verb: str) -> None:
+    """Have in the kept files, which the commands write, the keys that are listed for this version, and no other."""
+    assert check(verb, listed(verb)) == []
+
+
 def test_differences_are_seen() -> None:
     """See another number, another type, a key too many, and a shorter list; not the last bits of a number."""
     kept = {"a": [1.0, 2], "b": "x"}
@@ -89,3 +104,5 @@ def test_differences_are_seen() -> None:
 if __name__ == "__main__":
     for each in COMMANDS:
         (GOLDEN / f"{each}.json").write_text(json.dumps(said(each), indent=1) + "\n", encoding="utf-8")
+    for each in LISTED:
+        write(each, listed(each))

@@ -60,7 +60,7 @@ def _left_out(found: Difference, original: Recording, replay: Recording) -> Iter
         hashes = original.fingerprints(phase)
         rows = 0 if hashes is None else len(hashes.steps)
         if rows > looked_at[phase] and phase not in missing:
-            why = f" ({c.no_hashes})" if c.no_hashes else ""
+            why = f" ({c.hash_steps_missing})" if c.hash_steps_missing else ""
             yield f"state hashes of {rows - looked_at[phase]} of {plural(rows, 'step')} of the {phase} phase{why}"
 
 

@@ -12,7 +12,7 @@ from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Difference, Divergence
 from gpusimbench.evaluator.diff.verdict import apart, equal_before, gap_before, place_of
 from gpusimbench.evaluator.diff.words import differ
-from gpusimbench.evaluator.json_values import dump, picked, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, entry, picked
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import (
     Block,
@@ -55,8 +55,6 @@ _VALUE, _COMMAND = 60, 200
 _FILES, _NAMES, _NOTES = 3, 4, 3
 
 Pairs = list[tuple[str, Cell | str]]
-
-SCHEMA_VERSION = 1
 
 
 def audit_document(audit: Audit, checked: Check, *, every: bool = False) -> Document:
@@ -199,7 +197,6 @@ def _notes(difference: Difference, every: bool) -> list[Block]:
 def dump_json(audits: Sequence[Audit], checked: Check, required: Level) -> str:
     """What ``gsb-audit --json`` writes."""
     document = {
-        "schema_version": SCHEMA_VERSION,
         "require": required,
         "audits": [_audit(audit, required) for audit in audits],
         "rules": RULES,
@@ -207,7 +204,7 @@ def dump_json(audits: Sequence[Audit], checked: Check, required: Level) -> str:
         "broken": _findings(checked.broken),
         "warnings": _findings(checked.warnings),
     }
-    return dump(values_of(document))
+    return dump(document_of(document))
 
 
 def _findings(found: Mapping[Place, tuple[str, ...]]) -> list[dict[str, Any]]:
@@ -222,10 +219,9 @@ def _audit(audit: Audit, required: Level) -> dict[str, Any]:
         "outcome": audit.outcome,
         "replays": replays.made if replays else [],
         "compared": [_recording_record(r) for r in audit.recordings],
-        "level": audit.level,
+        **entry("level", audit.level, "" if audit.level else audit.why_not),
         "meets_requirement": audit.meets(required),
-        "why_not": audit.why_not,
-        "rungs": audit.verdict.rungs if audit.verdict else [],
+        **entry("rungs", audit.verdict.rungs if audit.verdict else [], audit.why_not),
         "law": audit.verdict.law if audit.verdict else None,
         "difference": None
         if d is None

@@ -12,7 +12,7 @@ from gpusimbench.evaluator.compute.recorder import record
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.diff.settings import differing_settings
 from gpusimbench.evaluator.diff.words import names
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Text, Tone, facts, table
 from gpusimbench.evaluator.runs.validation import verify
@@ -23,8 +23,6 @@ from gpusimbench.schemas.location import place
 _ENVIRONMENTS = "environments"
 _PACKAGES = "software.packages."
 _OURS = ("software.recorder.",)  # which code recorded: a bisection that goes on later may have another
-
-SCHEMA_VERSION = 1
 
 _WORDS = {True: ("differs", Tone.BAD), False: ("the same", Tone.GOOD), None: ("not judged", Tone.WARNING)}
 
@@ -285,9 +283,7 @@ def verdict_of(found: Bisection) -> str:
 
 def dump_json(found: Bisection) -> str:
     """The document that ``gsb-bisect --json`` writes."""
-    return dump(
-        {"schema_version": SCHEMA_VERSION, "verdict": verdict_of(found), "exact": found.exact, **values_of(found)}
-    )
+    return dump(document_of({"verdict": verdict_of(found), "exact": found.exact, **values_of(found)}))
 
 
 def _row(version: str, verdict: Verdict) -> list[Cell | str]:

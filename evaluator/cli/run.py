@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _exit_code(found: Comparison) -> ExitCode:
-    if any(one.difference is not None and one.difference.different for one in found.compared):
+    if any(one.difference and one.difference.different for one in found.compared):
         return ExitCode.GATE_FAILED
     if found.damaged:
         return ExitCode.DATA_LOST

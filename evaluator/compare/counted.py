@@ -30,8 +30,8 @@ def compare_mechanics(base: Runs, head: Runs, *, certain: bool) -> Sequence[Find
     if not any("capture" in r.configuration.phases for r in (*base, *head)):
         return ()
     one, other = (fidelity("", [r.physics for r in runs]) for runs in (base, head))
-    if why := "; ".join(dict.fromkeys(f.why_not for f in (one, other) if f.why_not)):
-        applies = not (base and head and one.why_not and other.why_not)
+    if why := "; ".join(dict.fromkeys(f.checks_missing for f in (one, other) if f.checks_missing)):
+        applies = not (base and head and one.checks_missing and other.checks_missing)
         return (not_compared(Axis.PHYSICS, _NAME, _TITLE, why, applies=applies),)
     rows = {row.check: row for row in other.rows}
     both = [(row, rows[row.check]) for row in one.rows if row.check.demanded and row.check in rows]

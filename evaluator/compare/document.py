@@ -9,7 +9,7 @@ from typing import Any
 from gpusimbench.evaluator.compare import words
 from gpusimbench.evaluator.compare.compare import Compared, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
-from gpusimbench.evaluator.json_values import dump, picked, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, picked, values_of
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
@@ -48,9 +48,6 @@ _ALIKE = {
     Change.UNCLEAR: "no difference shown",
 }
 """Changes that the short text names without numbers."""
-
-SCHEMA_VERSION = 1
-"""Version of the JSON that ``gsb-compare --json`` prints."""
 
 
 def short(result: Result) -> Document:
@@ -170,7 +167,7 @@ def _bits_of_one_run(compared: Compared) -> Iterator[str]:
     if compared.order.n == (1, 1):
         for finding in compared.findings:
             if finding.axis is Axis.BITS and finding.change is Change.NOT_COMPARED:
-                yield f"not compared: {finding.title}: {finding.why_not}"
+                yield f"not compared: {finding.title}: {finding.missing}"
 
 
 def _first(lines: Sequence[str], most: int, what: str, tone: Tone) -> Items:
@@ -213,8 +210,7 @@ def dump_json(result: Result) -> str:
     """The document as text."""
     settings = result.settings
     return dump(
-        {
-            "schema_version": SCHEMA_VERSION,
+        document_of({
             "verdict": words.headline(result),
             "exit_code": int(result.exit_code),
             "undecided": [axis.value for axis in result.undecided],
@@ -227,11 +223,11 @@ def dump_json(result: Result) -> str:
             "compared": [_configuration(compared, result) for compared in result.compared],
             "without_partner": [{"side": s, "label": label, "reason": why} for s, label, why in result.alone],
             "unreadable": [
-                {"side": side, "path": values_of(u.path), "error": str(u.error)} for side, u in result.unreadable
+                {"side": side, "path": values_of(u.path), "reason": str(u.error)} for side, u in result.unreadable
             ],
             "notes": list(result.notes),
-        }
-    )
+        })
+    )  # fmt: skip
 
 
 def _configuration(compared: Compared, result: Result) -> dict[str, Any]:

@@ -76,7 +76,7 @@ class Finding:
     method      what is compared
     test        how it was tested; empty where nothing was
     note        what a reader must see beside it
-    why_not     why it is not compared
+    missing     why it is not compared
     applies     whether either side has such a thing; where neither has, there is nothing to decide
     left_open   changes as large as matters that these runs do not exclude; empty where the verdict stands
     """
@@ -102,7 +102,7 @@ class Finding:
     method: str = ""
     test: str = ""
     note: str = ""
-    why_not: str = ""
+    missing: str = ""
     applies: bool = True
     left_open: tuple[Change, ...] = ()
 
@@ -117,7 +117,7 @@ class Finding:
         if self.axis not in settings.gates or not self.applies or self.fails(settings):
             return ""
         if self.change is Change.NOT_COMPARED:
-            return self.why_not
+            return self.missing
         if not (set(self.left_open) & (DIFFERENT if settings.expect_same else FAILING)):
             return ""
         if self.bounded:
@@ -171,7 +171,7 @@ class Settings:
 
 def not_compared(axis: Axis, name: str, title: str, why: str, *, applies: bool = True) -> Finding:
     """A finding without a verdict, and the reason; `applies` is false where neither side has anything to compare."""
-    return Finding(axis, name, title, Change.NOT_COMPARED, why_not=why, applies=applies)
+    return Finding(axis, name, title, Change.NOT_COMPARED, missing=why, applies=applies)
 
 
 @dataclass(frozen=True)

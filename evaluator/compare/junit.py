@@ -55,7 +55,7 @@ def _suite(suites: ET.Element, compared: Compared, result: Result) -> tuple[int,
             _say(case, "error", f"undecided: {'; '.join(reasons)}", _lines(undecided, result))
         elif not told or not counts(axis, result.settings):
             skipped += 1
-            why = "; ".join(dict.fromkeys(f.why_not for f in found if f.why_not)) if not told else "not a gate"
+            why = "; ".join(dict.fromkeys(f.missing for f in found if f.missing)) if not told else "not a gate"
             _say(case, "skipped", why, [])
         ET.SubElement(case, "system-out").text = _lined([*_lines(told, result), *compared.warnings])
     counted = (cases, failures, errors, skipped)

@@ -143,7 +143,7 @@ def remarks(compared: Compared) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for f in compared.findings:
         if f.change is Change.NOT_COMPARED:
-            reasons.setdefault(f.why_not, []).append(f.title)
+            reasons.setdefault(f.missing, []).append(f.title)
     return [*lines, *(f"not compared: {', '.join(titles)}: {why}" for why, titles in reasons.items()), *compared.notes]
 
 

@@ -125,7 +125,7 @@ def _growth(growth: Growth) -> Pairs:
 
 def _trajectories(found: Difference) -> str:
     splits = found.splits
-    if splits.no_classes:
+    if splits.classes_missing:
         return f"equal pairs of envs: {words.changes(splits.agreeing, _CHANGES)}"
     count, listed = classes_of(found, splits.classes_a or (), splits.classes_b or (), _CLASSES)
     return f"{count}: {' | '.join(listed)}" if listed else f"{count}, no two envs are equal"

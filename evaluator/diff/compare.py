@@ -86,7 +86,7 @@ def _compare(a: Selection, b: Selection) -> Difference:
             hash_phase=hashes.phase if hashes else "",
             timed_steps=step_range(of_timed.steps_a.tolist()) if of_timed else None,
             unseen_steps=sum(side.unseen(states.steps_a) for side in (hashes, of_timed) if side),
-            no_hashes=why_missing(found),
+            hash_steps_missing=why_missing(found),
             left_out=(*left_out, *remarks.uncommon(a, b, states), *remarks.arrays(a, b, program)),
         ),
         bitwise=bitwise,

@@ -109,7 +109,7 @@ class Compared:
     fields          by name, with what became of each
     n_env           pairs of environments
     state_steps     common recorded steps of the states, as steps of side a: count, first and last; None without any
-    hash_steps      the same of the state hashes; None where they cannot be used, and `no_hashes` says why
+    hash_steps      the same of the state hashes; None where they cannot be used, and `hash_steps_missing` says why
     hash_phase      the phase that these hashes are of: "capture", or "timed" where nothing was captured; empty without
     timed_steps     the same of the timed phase's hashes beside those of the capture; None where none can be used
     unseen_steps    steps of either phase at which hashes differ and no state is common: no number of them is known
@@ -123,7 +123,7 @@ class Compared:
     hash_phase: str
     timed_steps: StepRange | None
     unseen_steps: int
-    no_hashes: str
+    hash_steps_missing: str
     left_out: tuple[str, ...]
 
 
@@ -294,7 +294,7 @@ class Splits:
     classes_a      by environment of side a: class of its trajectory; those of one class are equal at every common step
     classes_b      the same of side b, with the same classes
     last_a, last_b classes at the last common step likewise
-    no_classes     why environments can only be compared with their own counterpart, and all of these are None; empty
+    classes_missing  why environments can only be compared with their own counterpart, and all of these are None; empty
                    where they can be compared with others
     """
 
@@ -308,7 +308,7 @@ class Splits:
     classes_b: tuple[int, ...] | None = None
     last_a: tuple[int, ...] | None = None
     last_b: tuple[int, ...] | None = None
-    no_classes: str = ""
+    classes_missing: str = ""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from gpusimbench.evaluator.diff.arrays import ArrayDivergence, ArraysDifference
 from gpusimbench.evaluator.diff.brief import Labels, brief, classes_of, reached
 from gpusimbench.evaluator.diff.result import Basis, Difference, FieldDifference, Growth
 from gpusimbench.evaluator.diff.verdict import apart, both_of, place_of, verdict_of
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
     Block,
@@ -70,7 +70,9 @@ def remarks(found: Difference, *, every: bool) -> list[Block]:
     if found.copies:
         notes.insert(0, "both files are recordings of the same run, so their agreement says nothing about another run")
     if found.compared.hash_steps is None:
-        notes.append(f"state hashes were not used, so only recorded states are known: {found.compared.no_hashes}")
+        notes.append(
+            f"state hashes were not used, so only recorded states are known: {found.compared.hash_steps_missing}"
+        )
     made += [Item(f"  note: {text}") for text in notes]
     if not every and len(made) > _REMARKS + 1:
         more = len(made) - _REMARKS
@@ -170,7 +172,7 @@ def _growth(growth: Growth) -> list[str]:
         doubling = "" if fit.doubling_time is None else f", doubling every {fit.doubling_time * 1000:.3g} ms"
         lines.append(
             f"growth rate: {fit.rate:.3g} /s{doubling}; log-linear fit of the largest through {fit.points} steps from "
-            f"{fit.begin:g} to {fit.end:g} s (first difference to 1 mm), R2 {fit.r_squared:.3f}"
+            f"{fit.begin_s:g} to {fit.end_s:g} s (first difference to 1 mm), R2 {fit.r_squared:.3f}"
         )
     if growth.not_finite_from is not None:
         lines.append(f"positions that are not finite, first at step {growth.not_finite_from}, are left out")
@@ -184,9 +186,9 @@ def _equal(found: Difference) -> Section | None:
     splits = found.splits
     by = "state hashes" if splits.by_hashes else "recorded states"
     pairs = [("equal pairs", words.changes(splits.agreeing, _CHANGES))]
-    if splits.no_classes:
+    if splits.classes_missing:
         return Section(
-            "equal", "equal environments", (facts(*pairs, ("classes", f"none: {splits.no_classes}")),), f"by {by}"
+            "equal", "equal environments", (facts(*pairs, ("classes", f"none: {splits.classes_missing}")),), f"by {by}"
         )
     pairs.append(("distinct states", words.changes(splits.distinct_both or (), _CHANGES)))
     if not found.one_recording:
@@ -261,10 +263,9 @@ def _facts(first: ArrayDivergence) -> Block:
 def dump_json(found: Difference) -> str:
     """The document that ``gsb-diff --json`` prints: the result's own names, the verdict, and whether it is over all."""
     document = {
-        "schema_version": 1,
         "verdict": found.verdict.value,
         "all_compared": not (found.compared.left_out or found.lost),
         "lost": list(found.lost),
         **values_of(found),
     }
-    return dump(document)
+    return dump(document_of(document))

@@ -169,7 +169,7 @@ class Agreement:
 
     def splits(self, no_classes: str, *, by_hashes: bool) -> Splits:
         """What is known; `no_classes` says why environments can be held against their own counterparts alone."""
-        known = Splits(by_hashes, step_range(self.steps), self._equal.result(), no_classes=no_classes)
+        known = Splits(by_hashes, step_range(self.steps), self._equal.result(), classes_missing=no_classes)
         return self.classes.added_to(known) if self.classes else known
 
 

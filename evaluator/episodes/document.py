@@ -8,12 +8,10 @@ from gpusimbench.evaluator.episodes.comparison import Comparison, Difference
 from gpusimbench.evaluator.episodes.dependence import Across, Dependence, Setting
 from gpusimbench.evaluator.episodes.outcome import SUCCESS, Outcome, Profiles, Quantity
 from gpusimbench.evaluator.episodes.side import Choice
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
 from gpusimbench.schemas.text import few, plural
-
-SCHEMA_VERSION = 1
 
 _QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "detectable")
 _DIFFERENCES = ("", "difference", "95 %", "p", "p, Holm", "detectable")
@@ -45,14 +43,13 @@ def episodes_document(policy: Outcome, against: Outcome | None, comparison: Comp
 def dump_json(policy: Outcome, against: Outcome | None, comparison: Comparison | None, profiles: Profiles) -> str:
     """The document that ``gsb-episodes --json`` writes."""
     return dump(
-        {
-            "schema_version": SCHEMA_VERSION,
+        document_of({
             "policy": record(policy),
             "against": record(against) if against else None,
-            "comparison": values_of(comparison) if comparison else None,
-            "profiles": values_of(profiles),
-        }
-    )
+            "comparison": comparison,
+            "profiles": profiles,
+        })
+    )  # fmt: skip
 
 
 def warnings(of: Outcome) -> Iterator[str]:
@@ -262,16 +259,15 @@ def dump_across(found: Across) -> str:
     """The document that ``gsb-episodes --across KEY --json`` writes."""
     settings = [{"value": one.value, "policy": record(one.outcome)} for one in found.settings]
     return dump(
-        {
-            "schema_version": SCHEMA_VERSION,
+        document_of({
             "across": {
                 "key": found.key,
                 "settings": settings,
                 "quantities": [{**values_of(one), "depends": one.depends} for one in found.quantities],
                 "warnings": list(_told(found)),
             },
-        }
-    )
+        })
+    )  # fmt: skip
 
 
 def _across_verdict(of: Dependence, found: Across) -> str:

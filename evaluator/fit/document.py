@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.fit.search import METHOD, Evaluation
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.metrics.tosses import TossErrors
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
@@ -28,8 +28,6 @@ LEVEL = 0.05
 """A p value below this tells the fitted options from the start."""
 
 _UNITS = {"position": ("cm", 100.0), "rotation": ("deg", 180.0 / math.pi)}
-
-SCHEMA_VERSION = 1
 
 _TITLES = ("error of", "tosses", "before", "after", "change", "p")
 
@@ -151,7 +149,7 @@ def fit_document(found: Fit) -> Document:
 
 def dump_json(found: Fit) -> str:
     """The document that ``gsb-fit --json`` writes."""
-    return dump({"schema_version": SCHEMA_VERSION, "verdict": found.verdict, "method": METHOD, **values_of(found)})
+    return dump(document_of({"verdict": found.verdict, "search": METHOD, **values_of(found)}))
 
 
 def dump_csv(evaluations: Sequence[Evaluation]) -> str:
@@ -159,7 +157,7 @@ def dump_csv(evaluations: Sequence[Evaluation]) -> str:
     stream = io.StringIO()
     rows = csv.writer(stream, lineterminator="\n")
     names = list(evaluations[0].options) if evaluations else []
-    rows.writerow(["evaluation", *names, "error_even_cm", "why_not"])
+    rows.writerow(["evaluation", *names, "error_even_cm", "error_even_cm_missing"])
     for number, one in enumerate(evaluations, 1):
         error = ("", one.error.reason) if isinstance(one.error, Missing) else (repr(one.error), "")
         rows.writerow([number, *one.options.values(), *error])

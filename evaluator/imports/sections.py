@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from gpusimbench.evaluator.imports.audit import Audit, Landing
 from gpusimbench.evaluator.imports.motion import MAX_DISTANCE, Poses, Response, Responses
 from gpusimbench.evaluator.imports.parameters import Compared, Finding, Verdict
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
     Block,
@@ -22,7 +22,6 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.schemas.text import plural
 
-SCHEMA_VERSION = 1
 _MOST_ROWS = 40  # differences that are shown without --all
 
 _COMPARED = ("what", "compared", "result")
@@ -47,7 +46,7 @@ def import_document(audits: Sequence[Audit], *, every: bool = False) -> Document
 def dump_import(audits: Sequence[Audit]) -> str:
     """The document that ``gsb-import --json`` writes."""
     engines = [{**values_of(audit), "agrees": audit.agrees} for audit in audits]
-    return dump({"schema_version": SCHEMA_VERSION, "engines": engines})
+    return dump(document_of({"engines": engines}))
 
 
 def verdict_of(audit: Audit) -> str:

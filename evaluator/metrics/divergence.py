@@ -117,7 +117,7 @@ class GrowthFit:
     rate          [1/s]
     r_squared     share of the variance of log(distance) that the line explains
     points        that the line goes through
-    begin, end    times of the first and the last of them [s]
+    begin_s, end_s  times of the first and the last of them [s]
     power_r_squared  as r_squared, of a power of the time since the last step without a distance,
                   log(distance) = k log(t - t0) + constant
     """
@@ -125,8 +125,8 @@ class GrowthFit:
     rate: float
     r_squared: float
     points: int
-    begin: float
-    end: float
+    begin_s: float
+    end_s: float
     power_r_squared: float
 
     @property

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar, require_unique_names
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.statistics.regimes import is_present
 
 Results = Sequence[SimulatorResult]
@@ -32,10 +33,9 @@ class Guideline:
     """One row: a need and the simulator that meets it best among those compared.
 
     need          what a user wants
-    pick          the simulator, exact ties joined by ", "; None where no pick can be made
+    pick          the simulator, exact ties joined by ", "; or why no pick can be made
     rule          how the pick is made, in words
     evidence      the numbers that decided, best first; None without a pick
-    reason        why no pick can be made; None with a pick
     runner_up     who would be picked if the pick were not there; None where there is no other that qualifies
     ranking       simulators that qualify with the figures that decided, best first
     disqualified  simulators that have the figures and do not qualify, with them
@@ -45,10 +45,9 @@ class Guideline:
     """
 
     need: str
-    pick: str | None
+    pick: str | Missing
     rule: str
     evidence: str | None
-    reason: str | None
     runner_up: str | None = None
     ranking: tuple[str, ...] = ()
     disqualified: tuple[str, ...] = ()
@@ -125,9 +124,7 @@ def _apply(rule: _Rule, results: Results) -> Guideline:
     pick = ", ".join(r.name for r in ranked if scores[r.name] == best)
     runner_up = next((_figures(rule, r, results) for r in ranked if scores[r.name] != best), None)
     said = "; ".join(evidence)
-    return Guideline(
-        rule.need, pick, rule.words, said, None, runner_up, ranking, disqualified, barred, unmeasured, unranked
-    )
+    return Guideline(rule.need, pick, rule.words, said, runner_up, ranking, disqualified, barred, unmeasured, unranked)
 
 
 def _no_pick(
@@ -138,7 +135,7 @@ def _no_pick(
     unranked: tuple[str, ...] = (),
 ) -> Guideline:
     return Guideline(
-        rule.need, None, rule.words, None, reason, barred=barred, unmeasured=unmeasured, unranked=unranked
+        rule.need, Missing(reason), rule.words, None, barred=barred, unmeasured=unmeasured, unranked=unranked
     )  # fmt: skip
 
 

@@ -31,7 +31,7 @@ class Finding:
     found       the comparison that decided; None where none was made
     compared    what was held against what, in words
     detail      which of them differ, where there are several kinds; how sure an agreement of runs is
-    why         why the answer is open or was not asked; empty elsewhere
+    reason      why the answer is open or was not asked; empty elsewhere
     """
 
     key: str
@@ -40,7 +40,7 @@ class Finding:
     found: Found | None = None
     compared: str = ""
     detail: str = ""
-    why: str = ""
+    reason: str = ""
 
 
 class Asked(NamedTuple):

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from gpusimbench.evaluator.json_values import dump, picked, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, picked, values_of
 from gpusimbench.evaluator.probe.finding import Finding, verdict_of
 from gpusimbench.evaluator.probe.questions import Probed
-
-SCHEMA_VERSION = 1
 
 
 def dump_probe(probed: Sequence[Probed], prices: Sequence[dict[str, Any]]) -> str:
     """The document that ``gsb-probe --json`` writes; `prices` are records of what levels of determinism cost."""
     probes = [probe_record(one) for one in probed]
-    return dump({"schema_version": SCHEMA_VERSION, "probes": probes, "prices": prices})
+    return dump(document_of({"probes": probes, "prices": prices}))
 
 
 def probe_record(probed: Probed) -> dict[str, Any]:

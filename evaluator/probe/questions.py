@@ -141,14 +141,14 @@ def answers(arms: Arms) -> list[Finding]:
 def _answer(question: Question, arms: Arms, varies: str, unknown: str) -> Finding:
     asked = question.ask(arms)
     if isinstance(asked, Missing):
-        return Finding(question.key, question.title, Answer.NOT_ASKED, why=asked.reason)
+        return Finding(question.key, question.title, Answer.NOT_ASKED, reason=asked.reason)
     finding = Finding(question.key, question.title, Answer.YES, *asked)
     if asked.found.level is Level.BIT_IDENTICAL:
         return finding
     if question.attributable and varies:
-        return replace(finding, answer=Answer.OPEN, why=varies)
+        return replace(finding, answer=Answer.OPEN, reason=varies)
     if question.attributable and unknown:
-        return replace(finding, answer=Answer.OPEN, why=f"runs were not compared: {unknown}")
+        return replace(finding, answer=Answer.OPEN, reason=f"runs were not compared: {unknown}")
     return replace(finding, answer=Answer.NO)
 
 

@@ -58,7 +58,7 @@ def mean_sd(metric: Estimate) -> str:
 
 def interval(metric: Estimate) -> str:
     """The 95 % interval, a dash where there is none."""
-    if isinstance(metric.value, Missing) or metric.ci95 is None:
+    if isinstance(metric.value, Missing) or not metric.ci95:
         return NONE
     low, high = metric.ci95
     return f"[{figure(low, metric.unit)}, {figure(high, metric.unit)}]"
@@ -120,7 +120,7 @@ def estimate(found: Estimate, *notes: str, tone: Tone = Tone.PLAIN) -> Cell:
     return Cell(
         mean_sd(found),
         float(found.value),
-        found.ci95,
+        found.ci95 or None,
         "" if bounds == NONE else bounds,
         tuple(note for note in notes if note),
         tone,

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gpusimbench.evaluator.diff.verdict import apart, place_of
-from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
 from gpusimbench.evaluator.replays.comparison import Compared, Share
 from gpusimbench.evaluator.replays.verdict import Judged, Verdict
 from gpusimbench.schemas.text import plural
-
-SCHEMA_VERSION = 1
 
 _SHOWN = 12
 _SETTINGS = 8
@@ -75,8 +73,7 @@ def replay_document(found: Compared, *, every: bool = False) -> Document:
 
 def dump_json(found: Compared) -> str:
     """The document that ``gsb-replay --json`` writes."""
-    record = values_of(found)
-    return dump({"schema_version": SCHEMA_VERSION, **record, "warnings": list(warnings(found))})
+    return dump(document_of({**values_of(found), "warnings": list(warnings(found))}))
 
 
 def verdict(found: Compared) -> str:

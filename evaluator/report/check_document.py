@@ -11,7 +11,7 @@ from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
 from gpusimbench.evaluator.check.rules.findings import Checked, Finding, Report, Unchecked
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import Level, Rule, RuleSet, Scope
-from gpusimbench.evaluator.json_values import dump, picked, plain
+from gpusimbench.evaluator.json_values import document_of, dump, picked, plain
 from gpusimbench.evaluator.render.document import Block, Document, Facts, Item, Items, Section, Text, Tone, facts, items
 from gpusimbench.schemas import __version__
 from gpusimbench.schemas.location import Place
@@ -28,8 +28,6 @@ _COMPLETE = "complete"
 _DAMAGES = {"recording": ("cannot be read", "cannot be read"), "no-dropouts": ("has lost data", "have lost data")}
 _DAMAGED = ("is damaged", "are damaged")
 """What a file is that breaks a rule on damage, by the rule's id; of one file and of several."""
-
-SCHEMA_VERSION = 1
 
 
 def check_document(report: Report, *, every: bool = False) -> Document:
@@ -297,5 +295,4 @@ def _rule(rule: Rule) -> dict[str, Any]:
 
 
 def _dump(record: dict[str, Any]) -> str:
-    document = {"schema_version": SCHEMA_VERSION, "gpusimbench": __version__, **record}
-    return dump(document)
+    return dump(document_of({"gpusimbench": __version__, **record}))

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.evaluator.json_values import picked
+from gpusimbench.evaluator.json_values import entry, picked
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
-from gpusimbench.evaluator.missing import Missing, known, why_missing
-from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.report.timed import timed_record
 from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
 from gpusimbench.evaluator.results.faults import Faults, faults
@@ -54,9 +53,11 @@ def contender_record(contender: Contender) -> dict[str, Any]:
         "group": contender.group.label if contender.group else None,
         "sweep": contender.sweep.label if contender.sweep else None,
         "sweep_with_robot": contender.robot.label if contender.robot else None,
-        "n_max": contender.figures.n_max,
-        "values": {axis.value: _value(metric) for axis, metric in contender.metrics.items()},
-        "why_not": {axis.value: why_not for axis, why_not in contender.why_not.items()},
+        "n_env_max": contender.figures.n_max,
+        "values": {
+            axis.value: entry("value", found) if isinstance(found, Missing) else estimate_record(found)
+            for axis, found in contender.metrics.items()
+        },
         "checks_broken": len(checked.of(Verdict.BROKEN)) if checked and checked.rows else None,
         "checks_held": checked.held if checked and checked.rows else None,
         "checks_by": checked.revision.value if checked and checked.rows else None,
@@ -75,7 +76,7 @@ def _level(result: GroupResult) -> dict[str, Any]:
     return {
         "group": result.label,
         "determinism": result.group.key.determinism,
-        "runs": result.group.outcomes,
+        "outcomes": result.group.outcomes,
         "distinct_envs": known(result.metrics["distinct_envs"].value),
         "distinct_runs": known(result.metrics["distinct_runs"].value),
         "faults": faults_record(faults(result)),
@@ -90,17 +91,16 @@ def _price(price: Price) -> dict[str, Any]:
 
 def _cost(cost: Cost) -> dict[str, Any]:
     return {
-        **picked(cost, "ratio ci95 why_not"),
-        "interval_why_not": cost.no_interval,
+        **picked(cost, "ratio ci95"),
         "cannot_be_told_apart_from_1": cost.undecided,
     }
 
 
 def _at_max(at: AtMax) -> dict[str, Any]:
     return {
-        "n_max": at.n_max,
-        "fps": _value(at.fps) if at.fps else None,
-        "memory": _value(at.memory) if at.memory else None,
+        "n_env_max": at.n_max,
+        "fps": estimate_record(at.fps) if at.fps else None,
+        "memory": estimate_record(at.memory) if at.memory else None,
         "limit": at.limit.name.lower(),
         "ends": at.ends,
         "contacts_per_env": at.contacts,
@@ -109,37 +109,25 @@ def _at_max(at: AtMax) -> dict[str, Any]:
     }
 
 
-def _value(metric: Estimate) -> dict[str, Any]:
-    return {
-        "metric": metric.name,
-        **estimate_record(metric),
-        "interval_why_not": words.why_no_interval(metric, ""),
-    }
-
-
 def estimate_record(estimate: Estimate) -> dict[str, Any]:
     """The figures of an estimate, or why there are none."""
-    return {
-        **picked(estimate, "value unit sd ci95 n"),
-        "why_not": why_missing(estimate.value),
-    }
+    return {"metric": estimate.name, **picked(estimate, "value unit sd ci95 n")}
 
 
 def _spread(one: RunSpread) -> dict[str, Any]:
     found = one.spread
     if isinstance(found, Missing):
-        return {"run": one.run, "why_not": found.reason}
+        return {"run": one.run, "missing": found.reason}
     times, largest = np.array(found.times), np.array([np.nan if v is None else v for v in found.largest])
     apart = np.flatnonzero(largest > 0)
     return {
         "run": one.run,
-        "why_not": "",
+        "missing": "",
         "recorded_steps": len(found.steps),
         "first_apart_s": float(times[apart[0]]) if len(apart) else None,
         "reaches_limit_s": first_reaching(times, largest, FIT_LIMIT_M),
         f"limit_{found.unit}": FIT_LIMIT_M,
         f"largest_at_end_{found.unit}": found.largest[-1],
         f"rms_at_end_{found.unit}": found.rms[-1],
-        "fit": found.fit or None,
-        "no_fit": why_missing(found.fit),
+        **picked(found, "fit"),
     }

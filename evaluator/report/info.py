@@ -9,7 +9,7 @@ from typing import Any
 from gpusimbench.evaluator.check.hardware import Hardware
 from gpusimbench.evaluator.check.inspection import Array, CoTenancy, Inspection, Memory, Rate
 from gpusimbench.evaluator.check.integrity.problem import REMARKS, Kind
-from gpusimbench.evaluator.json_values import brief, dump, plain
+from gpusimbench.evaluator.json_values import brief, document_of, dump, plain
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
@@ -26,8 +26,6 @@ from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_
 from gpusimbench.schemas.text import cut, ordinal, plural
 from gpusimbench.schemas.treatment import initial_words
 from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS
-
-SCHEMA_VERSION = 1
 
 _SOURCES = {
     "device": "NVML, whole device",
@@ -80,8 +78,7 @@ def dump_info(found: Sequence[Inspection], unreadable: Sequence[tuple[Place, Gsb
     """A JSON document with an object for each file, those that are no recordings with their error."""
     files: list[Any] = [_file(one) for one in found]
     files += [{"path": str(path), "status": "unreadable", "reason": str(error)} for path, error in unreadable]
-    document = {"schema_version": SCHEMA_VERSION, "gpusimbench": __version__, "files": files}
-    return dump(document)
+    return dump(document_of({"gpusimbench": __version__, "files": files}))
 
 
 def _file(value: Any) -> Any:

@@ -6,9 +6,9 @@ import json
 from typing import Any
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
-from gpusimbench.evaluator.json_values import dump, picked, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, entry, picked, values_of
 from gpusimbench.evaluator.metrics.memory import MemoryModel
-from gpusimbench.evaluator.missing import Missing, known, why_missing
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.json import probe_record
 from gpusimbench.evaluator.report.evidence_json import (
     capability_record,
@@ -21,26 +21,25 @@ from gpusimbench.evaluator.report.sections.mechanics import fidelity_record
 from gpusimbench.evaluator.report.timed import timed_record
 from gpusimbench.evaluator.results.canonical import Law, Unmeasured
 from gpusimbench.evaluator.results.convergence import Convergence
-from gpusimbench.evaluator.results.evaluation import SCHEMA_VERSION, Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.paper_tables import capability
+from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
+from gpusimbench.evaluator.results.sweeps import SOURCES, Accumulation, Sweep, SweepPoint
 from gpusimbench.evaluator.results.validity import Validity
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.evaluator.statistics.jackknife import Interval
+from gpusimbench.evaluator.statistics.matched import Variability
 
 
 def to_json(evaluation: Evaluation) -> dict[str, Any]:
     """The document that ``gsb-eval --json`` prints; plain JSON values only."""
     reference, comparison = evaluation.reference, evaluation.comparison
-    document = {  # of results, which values_of makes JSON of
-        "schema_version": SCHEMA_VERSION,
+    document = {  # of results, which document_of makes JSON of
         "sample_time_s": evaluation.sample_time,
-        "reference": {"file": str(reference.path), "label": reference.label, "measured": reference.measured}
-        if reference
-        else None,
-        "reference_note": evaluation.reference_note,
+        **entry("reference", _reference(reference, evaluation) if reference else Missing(evaluation.reference_note)),
         "notes": evaluation.notes,
         "groups": [_group(result) for result in evaluation.results],
         "recordings": [
@@ -51,7 +50,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
             ),
         ],
         "sweeps": [_sweep(sweep) for sweep in evaluation.sweeps],
-        "accumulation": evaluation.accumulation,
+        "accumulation": [_accumulation(one) for one in evaluation.accumulation],
         "convergence": [_convergence(one) for one in evaluation.convergences],
         "radar": {
             name: {axis.value: value for axis, value in axes.items()}
@@ -64,23 +63,52 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "probes": [probe_record(one) for one in evaluation.probed],
         "capability": [capability_record(row) for row in capability(evaluation.sweeps, evaluation.results)],
     }
-    plain: dict[str, Any] = values_of(document)
-    return plain
+    return document_of(document)
+
+
+def _reference(reference: Reference, evaluation: Evaluation) -> dict[str, Any]:
+    return {"file": reference.path, **picked(reference, "label measured"), "note": evaluation.reference_note}
+
+
+def _accumulation(one: Accumulation) -> dict[str, Any]:
+    points = [
+        {
+            **picked(point, "n_env n_run size n_draw run_to_run_draw_sd parallel_draw_sd"),
+            "matched": _variability(point.matched),
+            **entry("raw", point.raw and _variability(point.raw)),
+        }
+        for point in one.points
+    ]
+    return {**picked(one, "label scene size draws seed"), "points": points}
+
+
+def _variability(found: Variability) -> dict[str, Any]:
+    return {
+        "run_to_run": found.run_to_run and _interval(found.run_to_run),
+        "parallel": found.parallel and _interval(found.parallel),
+        "floor": found.floor,
+    }
+
+
+def _interval(found: Interval) -> dict[str, Any]:
+    ends = None if found.low is None else (found.low, found.high)
+    return {
+        **picked(found, "estimate standard_error"),
+        **entry("ci95", ends, found.reason or ""),
+        "ci95_method": found.method,
+    }
 
 
 def _convergence(one: Convergence) -> dict[str, Any]:
-    """A reason stands in `why_not` where there is no order, and in `no_interval` where there is no interval."""
     found = one.found
-    record = picked(one, "label scene time finest what unit left_out")
+    record = {
+        **picked(one, "label scene"), "time_s": one.time, "finest_dt": one.finest, **picked(one, "what unit left_out"),
+    }  # fmt: skip
     if isinstance(found, Missing):
-        return {**record, "order": None, "why_not": found.reason}
+        return {**record, **entry("order", found)}
     return {
         **record,
-        "order": known(found.order),
-        "why_not": why_missing(found.order),
-        "ci95": known(found.ci95),
-        "no_interval": why_missing(found.ci95),
-        "asymptotic": found.asymptotic,
+        **picked(found, "order ci95 asymptotic"),
         "dt": found.steps,
         "error": found.errors,
         "local_orders": [known(order) for order in found.local],
@@ -102,18 +130,23 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "switches": json.loads(key.switches) if key.switches else {},
         "n_run": len(result.group.complete),
         "n_recording": len(result.group.recordings),
-        "runs": result.group.outcomes,
+        "outcomes": result.group.outcomes,
         "metrics": {name: _metric(metric) for name, metric in result.metrics.items()},
         "timed": timed_record(result.timed),
         "validity": _validity(result.validity),
         "faults": faults_record(faults(result)),
         "divergence": divergence_records(result),
         "physics": fidelity_record(result.fidelity),
-        "laws": [law for law in result.laws if isinstance(law, Law)],
-        "laws_missing": [law for law in result.laws if isinstance(law, Unmeasured)],
+        "laws": [_law(law) for law in result.laws],
         "deviations": _deviations(result),
         "notes": result.notes,
     }
+
+
+def _law(law: Law | Unmeasured) -> dict[str, Any]:
+    if isinstance(law, Unmeasured):
+        return {**picked(law, "label scene key title"), "missing": law.reason}
+    return {**values_of(law), "missing": ""}
 
 
 def _validity(validity: Validity) -> dict[str, Any]:
@@ -131,12 +164,10 @@ def _sweep(sweep: Sweep) -> dict[str, Any]:
         "label": sweep.label,
         **picked(sweep.key, "simulator version device scene dt determinism"),
         **sweep.key.told,
-        **picked(sweep, "n_max ends"),
+        "n_env_max": sweep.n_max,
+        **picked(sweep, "ends"),
         "points": [_point(point) for point in sweep.points],
-        "memory_models": {
-            **{name: _model(model) for name, model in sweep.models.items()},
-            **{name: {"why_not": why_not} for name, why_not in sweep.no_model.items()},
-        },
+        "memory_models": {name: model and _model(model) for name, model in sweep.models.items()},
     }
 
 
@@ -163,7 +194,7 @@ def _model(model: MemoryModel) -> dict[str, Any]:
         "largest_relative_residual": model.largest_residual,
         "worst_n_env": model.worst_n,
         "holds": model.holds,
-        "why_not": "",
+        "missing": "",
     }
 
 
@@ -176,7 +207,6 @@ def _metric(metric: Estimate) -> dict[str, Any]:
         **picked(metric, "value unit sd ci95 n"),
         "direction": metric.metric.direction,
         **picked(metric, "method exactness"),
-        "why_not": why_missing(metric.value),
         **({"extra": extra} if (extra := metric.details.record()) else {}),
     }
 

@@ -32,9 +32,9 @@ _KEY = {
 
 _METRICS = {
     **_KEY, "metric": "String", "value": "Float64", "unit": "String", "direction": "String", "sd": "Float64",
-    "low": "Float64", "high": "Float64", "n": "Int64", "exactness": "String", "method": "String", "why_not": "String",
-    "first_timed_step": "Int64", "last_timed_step": "Int64", "shortest_timed_s": "Float64", "cone": "String",
-    "iterations": "String", "tolerance": "String", "protocol_findings": "Int64",
+    "low": "Float64", "high": "Float64", "n": "Int64", "exactness": "String", "method": "String",
+    "value_missing": "String", "first_timed_step": "Int64", "last_timed_step": "Int64", "shortest_timed_s": "Float64",
+    "cone": "String", "iterations": "String", "tolerance": "String", "protocol_findings": "Int64",
     "floor": "Float64", "p_value": "Float64",
 }  # fmt: skip
 
@@ -118,7 +118,7 @@ def _values_of(metric: Estimate) -> dict[str, Any]:
         "value": known(metric.value),
         "unit": metric.unit,
         "direction": metric.metric.direction.value,
-        "why_not": why_missing(metric.value),
+        "value_missing": why_missing(metric.value),
         **{name: getattr(metric, name) for name in ("sd", "exactness", "method")},
     }
 

@@ -139,7 +139,7 @@ def real(results: Results) -> Cell:
         said = (f"{m.metric.title} {figure(v, m.unit)} {m.unit}" for m in others if (v := known(m.value)) is not None)
         error = known(tossed[0].value) or 0.0
         notes = (f"of {tossed[0].n} tosses", *said)
-        return Cell(f"{distance(error)} cm", error, tossed[0].ci95, interval(tossed[0]), notes)
+        return Cell(f"{distance(error)} cm", error, tossed[0].ci95 or None, interval(tossed[0]), notes)
     local = [r.metrics[TOSS_LOCAL_POSITION.name] for r in results]
     local = [found for found in local if known(found.value) is not None]
     if local and not tossed:

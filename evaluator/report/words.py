@@ -16,7 +16,6 @@ from gpusimbench.evaluator.results.details import (
     CaptureOverhead,
     Equality,
     Growth,
-    OverRuns,
     PublishedType,
     Throughput,
     ToReference,
@@ -184,7 +183,7 @@ def another(again: RegimeProbabilities) -> str:
 def floor_of(metric: Estimate) -> Floor:
     """What exchanging whole environments gives; without a figure where the metric has no floor."""
     details = metric.details
-    return details.floor if isinstance(details, BetweenRuns | ToReference) else Floor()
+    return details.permutation_test if isinstance(details, BetweenRuns | ToReference) else Floor()
 
 
 EXCHANGED = "first two: W1; floor; p"
@@ -211,9 +210,7 @@ def not_exchanged(metric: Estimate) -> str:
 
 def why_no_interval(metric: Estimate, otherwise: str) -> str:
     """Why an estimate has no 95 % interval."""
-    details = metric.details
-    why_not = details.interval_why_not if isinstance(details, OverRuns | BetweenRuns) else None
-    return why_not or otherwise
+    return why_missing(metric.ci95) or otherwise
 
 
 CELLS: Mapping[str, Callable[[Estimate], str]] = {

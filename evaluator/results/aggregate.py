@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.throughput import typical_time
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.jackknife import Interval, jackknife_mean
 
@@ -25,17 +26,15 @@ Runs = Sequence[Run]
 class Aggregate:
     """One value of several runs.
 
-    value             in the unit of the runs' values
-    sd                standard deviation of a sample; None for one run, and where none is meant
-    ci95              95 % interval; None where there is none, and `interval_why_not` says why
-    interval_why_not  None where no interval is meant
-    method            how the interval was obtained
+    value   in the unit of the runs' values
+    sd      standard deviation of a sample; None for one run, and where none is meant
+    ci95    95 % interval, or why there is none; None where no interval is meant
+    method  how the interval was obtained
     """
 
     value: float
     sd: float | None = None
-    ci95: tuple[float, float] | None = None
-    interval_why_not: str | None = None
+    ci95: tuple[float, float] | Missing | None = None
     method: str = ""
 
 
@@ -57,13 +56,12 @@ def mean_of(values: Sequence[float]) -> Aggregate:
     found = np.array(values)
     spread = differ(found)
     interval = jackknife_mean(found) if len(found) >= _MIN_RUNS else None
-    bounds, why_not = ends_of(interval, len(found), spread=spread)
+    bounds = ends_of(interval, len(found), spread=spread)
     # equal values have their very value for a mean, and no deviation: sums of them round
     return Aggregate(
         float(np.mean(values)) if spread else values[0],
         sd=(float(np.std(values, ddof=1)) if spread else 0.0) if len(found) > 1 else None,
         ci95=bounds,
-        interval_why_not=why_not,
         method=interval.method if bounds and interval else "",
     )
 
@@ -82,13 +80,13 @@ def differ(values: NDArray[np.float64]) -> bool:
     return bool(np.ptp(values) > _ROUNDING * np.abs(values).max()) if values.size else False
 
 
-def ends_of(interval: Interval | None, runs: int, *, spread: bool) -> tuple[tuple[float, float] | None, str]:
-    """The interval's ends, or None and why there are none; `spread` says whether the runs differ at all."""
+def ends_of(interval: Interval | None, runs: int, *, spread: bool) -> tuple[float, float] | Missing:
+    """The interval's ends, or why there are none; `spread` says whether the runs differ at all."""
     if runs < _MIN_RUNS or interval is None:
-        return None, f"needs at least {_MIN_RUNS} runs"
+        return Missing(f"needs at least {_MIN_RUNS} runs")
     if not spread:
         # an interval of width zero would claim that rare differences are excluded
-        return None, f"no spread in {runs} runs"
+        return Missing(f"no spread in {runs} runs")
     if interval.low is None or interval.high is None:
-        return None, interval.reason or "no interval"
-    return (interval.low, interval.high), ""
+        return Missing(interval.reason or "no interval")
+    return interval.low, interval.high

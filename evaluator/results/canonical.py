@@ -67,7 +67,7 @@ class Law:
                   without a prediction
     spread        standard deviation of what the interval is of, over environments
     absent        why the other environments could not be measured; empty where all were
-    unjudged      why there is no prediction, and so no verdict; empty where there is
+    held_missing      why there is no prediction, and so no verdict; empty where there is
     p             of the chi-squared test, where the law says that outcomes are equally likely: `count` of `of_envs`
                   throws had an outcome, `measured` is the statistic, `predicted` its degrees of freedom, and it holds
                   where the statistic is below its 99.9 % point
@@ -90,7 +90,7 @@ class Law:
     sensitivities: tuple[Sensitivity, ...]
     spread: float
     absent: str = ""
-    unjudged: str = ""
+    held_missing: str = ""
     p: float | None = None
 
     @property
@@ -191,7 +191,7 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
         ci95=(low, high) if count > 1 else None, tolerance=tolerance, of=first.of, held=held,
         sensitivities=tuple(sensitivity(name, slope) for name, slope in first.slopes),
         spread=error * math.sqrt(count), absent=first.absent if count < len(first.measured) else "",
-        unjudged=next((run.predicted.reason for run in alike if isinstance(run.predicted, Missing)), ""),
+        held_missing=next((run.predicted.reason for run in alike if isinstance(run.predicted, Missing)), ""),
     )  # fmt: skip
 
 

@@ -55,7 +55,7 @@ def _without_matrix(details: Details) -> Details:
     if isinstance(details, BetweenEnvs):
         return replace(details, matrix_of=None, matrix_cm=None)
     if isinstance(details, BetweenRuns):
-        return replace(details, runs=None, classes=None, matrix_cm=None)
+        return replace(details, run_indices=None, classes=None, matrix_cm=None)
     return details
 
 

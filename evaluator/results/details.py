@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.json_values import picked
+from gpusimbench.evaluator.json_values import entry, picked
 from gpusimbench.evaluator.metrics.cotenants import Presence, Sign
 from gpusimbench.evaluator.metrics.identity import SplitTree
 from gpusimbench.evaluator.metrics.levels import Worst
@@ -41,23 +41,39 @@ class Details:
             value = getattr(self, one.name)
             if "hidden" in one.metadata or ("optional" in one.metadata and value is None):
                 continue
-            if isinstance(value, Missing):
-                found[one.name] = None
-            else:
-                found[one.name] = value.record() if isinstance(value, Floor) else value
+            found |= {one.name: _exchanged(value)} if isinstance(value, Floor) else picked(self, one.name)
         return found
+
+
+def _exchanged(found: Floor) -> dict[str, Any]:
+    w1, energy = found.w1, found.energy
+    return {
+        **entry("w1", w1 and {
+            "observed_cm": w1.observed,
+            "floor_mean_cm": w1.floor_mean,
+            "floor_q95_cm": w1.floor_q95,
+            "p_value": w1.p_value,
+            "permutations": w1.n_permutation,
+            "seed": w1.seed,
+        }),
+        **entry("energy", energy and {
+            "observed_cm": energy.v_statistic,
+            "unbiased_cm": energy.u_statistic,
+            "floor_mean_cm": energy.floor_mean,
+            "p_value": energy.p_value,
+            "permutations": energy.n_permutation,
+        }),
+    }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class OverRuns(Details):
     """Of a metric with one value a run.
 
-    per_run           the values, in the unit of the metric
-    interval_why_not  why there is no interval; empty where there is one, None where none is computed
+    per_run  the values, in the unit of the metric
     """
 
     per_run: tuple[float, ...] | None = field(default=None, metadata=_OPTIONAL)
-    interval_why_not: str | None = field(default=None, metadata=_OPTIONAL)
 
 
 @dataclass(frozen=True)
@@ -141,14 +157,13 @@ class BetweenEnvs(OverRuns):
 
     distinct_at_sample_step  bitwise different environments of each run
     sampled                  None where all environments were compared
-    no_matrix                why there is no matrix; None where there is one
-    matrix_of                place of the run whose matrix is kept, among the runs that `distinct_envs` compares
+    matrix_of                place of the run whose matrix is kept, among the runs that `distinct_envs` compares; or why
+                             there is no matrix, or no such place
     matrix_cm                W1 between the environments of that run [cm], shape [env, env]
     """
 
     distinct_at_sample_step: tuple[int, ...] = ()
     sampled: Drawn | None = field(default=None, metadata=_OPTIONAL)
-    no_matrix: str | None = field(default=None, metadata=_OPTIONAL)
     matrix_of: int | Missing | None = field(default=None, metadata=_OPTIONAL)
     matrix_cm: NDArray[np.float64] | None = field(default=None, metadata=_HIDDEN, compare=False)
 
@@ -157,19 +172,17 @@ class BetweenEnvs(OverRuns):
 class BetweenRuns(Details):
     """Of W1 between runs.
 
-    n_run             runs
-    interval_why_not  why there is no interval; empty where there is one
-    floor             of the first two runs
-    bounds_cm         that enclose the value where it is not exact
-    runs, classes     indices of the runs in the order of the matrix, and their classes by bits
-    matrix_cm         W1 between runs [cm], shape [run, run]; None where not all pairs were computed
+    n_run                 runs
+    permutation_test      of the first two runs
+    bounds_cm             that enclose the value where it is not exact
+    run_indices, classes  indices of the runs in the order of the matrix, and their classes by bits
+    matrix_cm             W1 between runs [cm], shape [run, run]; None where not all pairs were computed
     """
 
     n_run: int = 0
-    interval_why_not: str = ""
-    floor: Floor = Floor()
+    permutation_test: Floor = Floor()
     bounds_cm: tuple[float, float] | None = field(default=None, metadata=_OPTIONAL)
-    runs: tuple[int, ...] | None = field(default=None, metadata=_OPTIONAL)
+    run_indices: tuple[int, ...] | None = field(default=None, metadata=_OPTIONAL)
     classes: tuple[int, ...] | None = field(default=None, metadata=_OPTIONAL)
     matrix_cm: NDArray[np.float64] | None = field(default=None, metadata=_HIDDEN, compare=False)
 
@@ -187,23 +200,22 @@ class JointsBetweenRuns(Details):
 
     n_run: int = 0
     joints: int = 0
-    interval_why_not: str = ""
 
 
 @dataclass(frozen=True)
 class ToReference(OverRuns):
     """Of W1 to the reference.
 
-    reference  what it is
-    measured   whether it is real trials
-    floor      of the first run and the reference
-    extension  what goes beyond the published definition
-    bounds_cm  that enclose the value where it is not exact
+    reference         what it is
+    measured          whether it is real trials
+    permutation_test  of the first run and the reference
+    extension         what goes beyond the published definition
+    bounds_cm         that enclose the value where it is not exact
     """
 
     reference: str = ""
     measured: bool = False
-    floor: Floor = Floor()
+    permutation_test: Floor = Floor()
     extension: str | None = field(default=None, metadata=_OPTIONAL)
     bounds_cm: tuple[float, float] | None = field(default=None, metadata=_OPTIONAL)
 
@@ -260,13 +272,13 @@ class DistinctEnvs(Details):
 class DistinctRuns(Details):
     """Of bitwise distinct runs; see DistinctEnvs.
 
-    classes  of the runs
-    runs     their indices
+    classes      of the runs
+    run_indices  their indices
     """
 
     classes: tuple[int, ...] = ()
     first_difference_step: int | None = None
-    runs: tuple[int, ...] = ()
+    run_indices: tuple[int, ...] = ()
     over_time: OverTime | None = None
     tree: SplitTree | None = None
     without_hashes: int | None = field(default=None, metadata=_OPTIONAL)
@@ -365,7 +377,14 @@ class PublishedType(Details):
 
     def record(self) -> dict[str, Any]:
         """The probabilities, or why there are none."""
-        if isinstance(self.resampled, Missing):
-            return {"probabilities_why_not": self.resampled.reason}
-        names = "probabilities runs decided_by agreement distinct run_differs_below parallel_below method draws seed"
-        return picked(self.resampled, names) if self.resampled else {}
+        found = self.resampled
+        if not found:
+            return {} if found is None else entry("probabilities", found)
+        names = "decided_by agreement distinct run_differs_below parallel_below"
+        return {
+            **entry("probabilities", found.probabilities),
+            "n_run": found.runs,
+            **picked(found, names),
+            "resampling": found.method,
+            **picked(found, "draws seed"),
+        }

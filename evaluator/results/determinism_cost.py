@@ -27,19 +27,17 @@ NO_EFFECT = "no effect here: the level sets nothing on this device"
 class Cost:
     """One figure of a group over that of the default.
 
-    ratio        None where there is none, and `why_not` says why
-    ci95         95 % interval of the ratio; None where there is none, and `no_interval` says why
+    ratio  or why there is none
+    ci95   95 % interval of the ratio, or why there is none; None where there is no ratio
     """
 
-    ratio: float | None
-    ci95: tuple[float, float] | None = None
-    why_not: str = ""
-    no_interval: str = ""
+    ratio: float | Missing
+    ci95: tuple[float, float] | Missing | None = None
 
     @property
     def undecided(self) -> bool:
         """Whether the interval contains 1: the figure cannot be told apart from that of the default."""
-        return self.ci95 is not None and self.ci95[0] <= 1.0 <= self.ci95[1]
+        return bool(self.ci95 and self.ci95[0] <= 1.0 <= self.ci95[1])
 
 
 @dataclass(frozen=True)
@@ -207,22 +205,22 @@ def _without_effect(result: GroupResult, base: GroupResult) -> bool:
 
 def _cost(result: GroupResult, base: GroupResult | None, name: str) -> Cost:
     if base is None:
-        return Cost(None, why_not="no group of the same configuration ran at the default level")
+        return Cost(Missing("no group of the same configuration ran at the default level"))
     if _without_effect(result, base):
-        return Cost(None, why_not=NO_EFFECT)
+        return Cost(Missing(NO_EFFECT))
     for side, which in ((result, ""), (base, "the default: ")):
         if invalid := faults(side).invalid:
-            return Cost(None, why_not=f"{which}{invalid}, so it has no price")
+            return Cost(Missing(f"{which}{invalid}, so it has no price"))
     ours, theirs = result.metrics[name], base.metrics[name]
     for metric, which in ((ours, ""), (theirs, "the default: ")):
         if isinstance(metric.value, Missing):
-            return Cost(None, why_not=f"{which}{_why_not(result if metric is ours else base, metric)}")
+            return Cost(Missing(f"{which}{_why_not(result if metric is ours else base, metric)}"))
     try:
         found = ratio_of_means(ours.of(OverRuns).per_run or (), theirs.of(OverRuns).per_run or ())
     except ValueError as error:
-        return Cost(None, why_not=str(error))
+        return Cost(Missing(str(error)))
     if found.low is None or found.high is None:
-        return Cost(found.estimate, no_interval=found.reason or "")
+        return Cost(found.estimate, Missing(found.reason or ""))
     return Cost(found.estimate, (found.low, found.high))
 
 

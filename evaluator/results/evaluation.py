@@ -16,9 +16,6 @@ from gpusimbench.evaluator.results.result import GroupResult, Map
 from gpusimbench.evaluator.results.sweeps import Accumulation, Sweep
 from gpusimbench.schemas.fields import ENV
 
-SCHEMA_VERSION = 1
-"""Version of the JSON that ``gsb-eval --json`` prints."""
-
 
 @dataclass(frozen=True)
 class Evaluation:

@@ -35,7 +35,7 @@ DEMANDED = sum(check.demanded for check in Check)
 class FidelityRow:
     """One check of one group.
 
-    runs     that could be measured
+    n_run    that could be measured
     of_runs  runs that were looked at: of the others nothing is known
     found    values of all runs that could be measured, without a note; None where none could
     reason   why no run, or not every run, could be measured
@@ -44,7 +44,7 @@ class FidelityRow:
 
     check: Check
     verdict: Verdict
-    runs: int
+    n_run: int
     of_runs: int
     found: Measured | None
     reason: str
@@ -57,21 +57,21 @@ class Fidelity:
 
     label      of the group
     scene      its name
-    runs       that were looked at
+    n_run      that were looked at
     n_env      environments of each; `looked_at` of them were measured
     exactness  "exact" where that is all, else "sampled"
-    rows       in the order of the checks; empty where `why_not` says why nothing can be said
+    rows       in the order of the checks; empty where `checks_missing` says why nothing can be said
     revision   whose tolerances judged
     """
 
     label: str
     scene: str
-    runs: int
+    n_run: int
     n_env: int
     looked_at: int
     exactness: str
     rows: tuple[FidelityRow, ...]
-    why_not: str = ""
+    checks_missing: str = ""
     revision: Revision = NEWEST
 
     @property

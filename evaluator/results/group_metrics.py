@@ -83,8 +83,9 @@ def _parallel(metric: Metric, group: GroupRuns) -> Estimate:
     details = BetweenEnvs(
         distinct_at_sample_step=tuple(f.n_distinct for f in found),
         sampled=Drawn(SAMPLED_ENVS, drawn[0].seed, tuple(f.interval_cm for f in found)) if drawn else None,
-        no_matrix=f"{n_env} environments are too many for one (limit: {MATRIX_ENVS})" if matrix is None else None,
-        matrix_of=_place(group) if matrix is not None else None,
+        matrix_of=Missing(f"{n_env} environments are too many for one (limit: {MATRIX_ENVS})")
+        if matrix is None
+        else _place(group),
         matrix_cm=matrix,
     )
     estimate = over_runs(replace(metric, values=lambda _: [f.mean_cm for f in found], details=lambda _: details), group)
@@ -110,11 +111,13 @@ def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
     except ValueError as error:  # more points than an exact distance can be computed for
         return missing(metric, str(error))
     if found.matrix_cm is None:
-        bounds, method, no_interval = None, "", f"{found.n_pair} pairs of runs were drawn with seed {found.seed}"
+        drawn = f"{found.n_pair} pairs of runs were drawn with seed {found.seed}"
+        bounds: tuple[float, float] | Missing = Missing(drawn)
+        method = ""
     else:
         interval = jackknife_pair_mean(found.matrix_cm)
         pairs = found.matrix_cm[np.triu_indices(runs, k=1)]
-        bounds, no_interval = ends_of(interval, runs, spread=differ(pairs))
+        bounds = ends_of(interval, runs, spread=differ(pairs))
         method = f"; interval: {interval.method}"
     kept = found.matrix_cm is not None
     return Estimate(
@@ -127,10 +130,9 @@ def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
         exactness=found.exactness,
         details=BetweenRuns(
             n_run=runs,
-            interval_why_not=no_interval,
-            floor=group.work.once(floor, planar[0], planar[1]),
+            permutation_test=group.work.once(floor, planar[0], planar[1]),
             bounds_cm=None if found.exactness == "exact" else (found.low_cm, found.mean_cm),
-            runs=tuple(r.configuration.run_index for r in group.at_sample) if kept else None,
+            run_indices=tuple(r.configuration.run_index for r in group.at_sample) if kept else None,
             classes=group.classes if kept else None,
             matrix_cm=found.matrix_cm,
         ),
@@ -157,7 +159,7 @@ def _to_reference(metric: Metric, group: GroupRuns) -> Estimate:
     details = ToReference(
         reference=reference.label,
         measured=reference.measured,
-        floor=group.work.once(floor, planar[0], reference.positions),
+        permutation_test=group.work.once(floor, planar[0], reference.positions),
         extension=found[0].extension or None,
     )
     measured = replace(
@@ -274,7 +276,7 @@ W1_PARALLEL = Metric(
 W1_RUN_TO_RUN = Metric(
     "w1_run_to_run", "W1 between runs", "cm", Direction.LOWER,
     "run-to-run variability: mean and SD of W1 over all pairs of runs, where the bodies of all environments of a run "
-    "are one set. `runs` and `classes`: indices of the runs, and their classes of equal bits, in the matrix's order",
+    "are one set. `run_indices` and `classes`: which runs, and their classes of equal bits, in the matrix's order",
     method="W1 between the pooled planar positions of two runs", published=True,
     table=Table.VARIABILITY, of_group=_run_to_run,
     interval="delete-one-run jackknife of a mean over pairs", axis=Axis.VARIABILITY, radar=RadarAxis.RUN_TO_RUN,

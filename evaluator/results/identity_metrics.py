@@ -95,7 +95,7 @@ def _distinct_runs(metric: Metric, group: GroupRuns) -> Estimate:
         details=DistinctRuns(
             classes=tuple(over_time.classes.tolist()),
             first_difference_step=int(steps[apart[0]]) if len(apart) else None,
-            runs=tuple(r.configuration.run_index for r in runs if r.histories),
+            run_indices=tuple(r.configuration.run_index for r in runs if r.histories),
             over_time=_over_time(steps, over_time.instant, over_time.histories),
             tree=split_tree(steps, over_time),
             without_hashes=_without_hashes(runs),
@@ -218,7 +218,7 @@ def _growth(group: GroupRuns) -> Growth:
     return Growth(
         doubling_time_s=tuple(fit.doubling_time for fit in fitted),
         r_squared=tuple(fit.r_squared for fit in fitted),
-        window_s=tuple((fit.begin, fit.end) for fit in fitted),
+        window_s=tuple((fit.begin_s, fit.end_s) for fit in fitted),
         curve=(SpreadCurve if first.unit == "m" else AngleCurve)(
             tuple(first.steps), tuple(first.rms), tuple(first.largest)
         ),

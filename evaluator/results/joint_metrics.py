@@ -102,7 +102,7 @@ def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
     matrix = run_distances(spaces, metric.unit)
     pairs = matrix[np.triu_indices(len(runs), k=1)]
     interval = jackknife_pair_mean(matrix)
-    bounds, no_interval = ends_of(interval, len(runs), spread=differ(pairs))
+    bounds = ends_of(interval, len(runs), spread=differ(pairs))
     offset = pairs - pairs[0]  # equal pairs have exactly that value
     return Estimate(
         metric,
@@ -111,7 +111,7 @@ def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
         sd=float(offset.std(ddof=1)) if len(pairs) > 1 else None,
         ci95=bounds,
         method=f"{metric.method}, mean and SD over pairs of runs; interval: {interval.method}",
-        details=JointsBetweenRuns(n_run=len(runs), joints=spaces[0].joints, interval_why_not=no_interval),
+        details=JointsBetweenRuns(n_run=len(runs), joints=spaces[0].joints),
     )
 
 

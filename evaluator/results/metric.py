@@ -138,7 +138,7 @@ class Estimate:
     exactness  "exact", "certified" (bounds in the details), "sampled" (seed in the details) or "none" without a value
     n          how many observations the value is a mean of, or counts
     sd         standard deviation over those, as published
-    ci95       95 % interval
+    ci95       95 % interval, or why there is none; None where the metric has none
     details    figures that belong to the value
     """
 
@@ -148,7 +148,7 @@ class Estimate:
     exactness: str = "exact"
     n: int = 0
     sd: float | None = None
-    ci95: tuple[float, float] | None = None
+    ci95: tuple[float, float] | Missing | None = None
     details: Details = Details()
 
     @property
@@ -195,5 +195,5 @@ def over_runs(metric: Metric, group: GroupRuns, method: str = "") -> Estimate:
         n=len(known),
         sd=found.sd,
         ci95=found.ci95,
-        details=replace(metric.details(group), per_run=tuple(known), interval_why_not=found.interval_why_not),
+        details=replace(metric.details(group), per_run=tuple(known)),
     )

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from gpusimbench.evaluator.metrics.guidelines import Guideline, guidelines
 from gpusimbench.evaluator.metrics.radar import Axis, Radar, SimulatorResult, radar
-from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, common_memory, ranked_throughput
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.metric import Estimate
@@ -37,8 +37,7 @@ class Contender:
     sweep    whose throughput and memory at N_env^max are compared, and N_env^max itself; None: those of the group
     robot    the same of a scene with a robot
     figures  that enter radar and guidelines
-    why_not  by axis, where a figure is missing
-    metrics  by axis, where a figure is of a metric
+    metrics  by axis, where a figure is of a metric, or why it is missing
     speed    whose throughput is compared; None where none is
     """
 
@@ -46,8 +45,7 @@ class Contender:
     sweep: Sweep | None
     robot: Sweep | None
     figures: SimulatorResult
-    why_not: dict[Axis, str]
-    metrics: Mapping[Axis, Estimate] = field(default_factory=dict)
+    metrics: Mapping[Axis, Estimate | Missing] = field(default_factory=dict)
     speed: GroupResult | None = None
 
 
@@ -246,34 +244,29 @@ def _contender(
 ) -> Contender:
     """What a simulator is compared by; `memory`, the metric that all are compared by, where it is one of the GPU's."""
     speed = _speed(parts, at_max=at_max)
-    why_not: dict[Axis, str] = {}
-    metrics: dict[Axis, Estimate] = {}
+    metrics: dict[Axis, Estimate | Missing] = {}
 
-    def value(axis: Axis, result: GroupResult | None) -> float | None:
+    def compared(axis: Axis, result: GroupResult | None) -> Estimate | Missing:
         if result is None:
-            why_not[axis] = _NO_SWEEP if axis not in _DISTANCES else "no group of it ran under the shared conditions"
-            return None
+            return Missing(_NO_SWEEP if axis not in _DISTANCES else "no group of it ran under the shared conditions")
         missed = timed_otherwise.get(result.label) or result.timed.unmet.of_throughput
         if axis is Axis.THROUGHPUT and missed:
-            why_not[axis] = missed
-            return None
+            return Missing(missed)
         metric = result.metrics[memory if axis is Axis.MEMORY and memory in GPU_MEMORY else _name_on(axis)]
         if isinstance(metric.value, Missing):
-            why_not[axis] = metric.value.reason
-            return None
+            return metric.value
         if axis is Axis.EMD_TO_REAL and not (reference and reference.measured):
-            why_not[axis] = "the reference is another simulation, not measured"
-            return None
-        if not math.isfinite(metric.value):
-            why_not[axis] = "it is not finite"
-            return None
-        metrics[axis] = metric
-        return metric.value
+            return Missing("the reference is another simulation, not measured")
+        return metric if math.isfinite(metric.value) else Missing("it is not finite")
+
+    def value(axis: Axis, result: GroupResult | None) -> float | None:
+        metrics[axis] = found = compared(axis, result)
+        return None if isinstance(found, Missing) else known(found.value)
 
     robot = parts.robot.at_max if parts.robot else None
     n_max = parts.sweep.n_max if parts.sweep else None
     if n_max is None:
-        why_not[Axis.PARALLELISM] = _NO_SWEEP
+        metrics[Axis.PARALLELISM] = Missing(_NO_SWEEP)
     fps = value(Axis.THROUGHPUT, speed)
     if fps is not None and speed is not None:
         fps = ranked_throughput(speed.metrics["fps"])
@@ -289,10 +282,10 @@ def _contender(
         n_max_articulated=parts.robot.n_max if parts.robot else None,
         barred=_barred(results, parts.group, parts.sweep.at_max if parts.sweep else None, robot),
         barred_articulated=_barred(results, robot),
-        why_no_fps=why_not.get(Axis.THROUGHPUT, ""),
+        why_no_fps=why_missing(metrics[Axis.THROUGHPUT]),
     )
     timed = speed if fps is not None else None
-    return Contender(parts.group, parts.sweep, parts.robot, figures, why_not, metrics, timed)
+    return Contender(parts.group, parts.sweep, parts.robot, figures, metrics, timed)
 
 
 def _barred(results: Sequence[GroupResult], *found: GroupResult | None) -> str:

@@ -102,8 +102,7 @@ class Sweep:
     ends      why it goes no further
     memory    the metric that stands for its memory, the same at all points: of the device; of the process on it, where
               more points have that one, for other processes were on the device; of the host where it ran on the CPU
-    models    by metric of SOURCES
-    no_model  reason by metric, where there is none
+    models    by metric of SOURCES, or why there is none
     """
 
     key: GroupKey
@@ -112,8 +111,7 @@ class Sweep:
     n_max: int | None
     ends: str
     memory: str
-    models: Mapping[str, MemoryModel] = field(default_factory=dict)
-    no_model: Mapping[str, str] = field(default_factory=dict)
+    models: Mapping[str, MemoryModel | Missing] = field(default_factory=dict)
 
     @property
     def long(self) -> bool:
@@ -202,14 +200,11 @@ def _sweep(key: GroupKey, label: str, points: tuple[SweepPoint, ...]) -> Sweep:
         ends = "largest N that was tried"
     memory = common_memory([p.result.metrics for p in points])
     told = any(known(p.result.metrics["allocator_peak"].value) is not None for p in points)
-    models, no_model = {}, {}
-    for source in (memory, "allocator_peak") if told else (memory,):
-        model = _model([(p.n_env, p.result.metrics[source]) for p in points])
-        if isinstance(model, Missing):
-            no_model[source] = model.reason
-        else:
-            models[source] = model
-    return Sweep(key, label, points, n_max, ends, memory, models, no_model)
+    models = {
+        source: _model([(p.n_env, p.result.metrics[source]) for p in points])
+        for source in ((memory, "allocator_peak") if told else (memory,))
+    }
+    return Sweep(key, label, points, n_max, ends, memory, models)
 
 
 def _model(found: Sequence[tuple[int, Estimate]]) -> MemoryModel | Missing:

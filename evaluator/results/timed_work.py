@@ -119,7 +119,7 @@ def _text(value: Any) -> str:
 class Speed:
     """Throughput of the runs with one outcome: how many runs, the slowest and the fastest [env-steps/s]."""
 
-    runs: int
+    n_run: int
     low: float
     high: float
 
@@ -149,7 +149,7 @@ class Speeds:
     @property
     def ranges(self) -> str:
         """Runs and range of each outcome."""
-        said = [f"{one.runs} run{'s' if one.runs > 1 else ''} at {one.said}" for one in self.outcomes]
+        said = [f"{one.n_run} run{'s' if one.n_run > 1 else ''} at {one.said}" for one in self.outcomes]
         more = len(said) - _NAMED
         return ", ".join(said if more < 2 else [*said[:_NAMED], f"and {more} outcomes more"])
 

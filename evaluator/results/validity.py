@@ -29,7 +29,7 @@ class Counted:
     max    of any environment at any step of any run
     phase  "capture" or "timed"
     rows   steps that were counted, all runs together
-    runs   that were counted
+    n_run  that were counted
     """
 
     name: str
@@ -39,7 +39,7 @@ class Counted:
     max: float
     phase: str
     rows: int
-    runs: int
+    n_run: int
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class OverflowSeen:
     fatal       contacts or constraints were dropped; None where simulation.json does not describe the bit
     rows        recorded steps at which it fired, all runs together
     envs        most environments with any bit at one of them
-    runs        runs in which it fired
+    n_run       runs in which it fired
     phase       of the first
     first_step  earliest step; with `spread` it fired at this one or at any of those since the row before
     """
@@ -75,7 +75,7 @@ class OverflowSeen:
     fatal: bool | None
     rows: int
     envs: int
-    runs: int
+    n_run: int
     phase: str
     first_step: int
     spread: bool
@@ -88,14 +88,14 @@ class ActionsApplied:
     generators  JSON, different ones
     sha256      of the actions of first and last step, different ones; more than one: the runs were not given the same
     verified    runs in which the engine held what it was given
-    runs        that said what they applied
+    n_run       that said what they applied
     """
 
     phase: str
     generators: tuple[str, ...]
     sha256: tuple[tuple[str, str], ...]
     verified: int
-    runs: int
+    n_run: int
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def _counted(runs: Sequence[Run]) -> Iterable[Counted]:
                     max=max(c.max for c in found),
                     phase=phase,
                     rows=sum(c.rows for c in found),
-                    runs=len(found),
+                    n_run=len(found),
                 )
 
 
@@ -192,7 +192,7 @@ def _seen(described: OverflowBit | None, found: Sequence[tuple[BitSummary, str, 
         described.fatal if described else None,
         rows=sum(fired.rows for fired, *_ in found),
         envs=max(fired.envs for fired, *_ in found),
-        runs=len({run for *_, run in found}),
+        n_run=len({run for *_, run in found}),
         phase=phase,
         first_step=first.first_step,
         spread=spread,
@@ -207,5 +207,5 @@ def _actions(runs: Sequence[Run]) -> Iterable[ActionsApplied]:
             tuple(dict.fromkeys(s.generator for s in found)),
             tuple(dict.fromkeys((s.first_sha256, s.last_sha256) for s in found)),
             verified=sum(s.verified for s in found),
-            runs=len(found),
+            n_run=len(found),
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,27 +33,6 @@ class Floor:
 
     w1: PermutationFloor | Missing = Missing("it was not computed")
     energy: EnergyDistance | Missing = Missing("it was not computed")
-
-    def record(self) -> dict[str, Any]:
-        """As JSON has it."""
-        w1, energy = self.w1, self.energy
-        return {
-            **({"why_not": w1.reason} if isinstance(w1, Missing) else {
-                "observed_cm": w1.observed,
-                "floor_mean_cm": w1.floor_mean,
-                "floor_q95_cm": w1.floor_q95,
-                "p_value": w1.p_value,
-                "permutations": w1.n_permutation,
-                "seed": w1.seed,
-            }),
-            **({"energy_why_not": energy.reason} if isinstance(energy, Missing) else {
-                "energy_cm": energy.v_statistic,
-                "energy_unbiased_cm": energy.u_statistic,
-                "energy_floor_mean_cm": energy.floor_mean,
-                "energy_p_value": energy.p_value,
-                "energy_permutations": energy.n_permutation,
-            }),
-        }  # fmt: skip
 
 
 def floor(a: NDArray[np.float64], b: NDArray[np.float64], mapper: Mapper) -> Floor:

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.statistics.jackknife import Interval, jackknife_mean, jackknife_pair_mean
 from gpusimbench.evaluator.transport.points import in_canonical_order, planar_array
 
@@ -47,7 +48,7 @@ class MatchedPoint:
                         part of the interval; None with one draw
     parallel_draw_sd    likewise
     n_draw              draws
-    raw                 at n_env; None where that would be too many points, and `no_raw` says so
+    raw                 at n_env; or why not: that would be too many points
     """
 
     n_env: int
@@ -57,8 +58,7 @@ class MatchedPoint:
     run_to_run_draw_sd: float | None
     parallel_draw_sd: float | None
     n_draw: int
-    raw: Variability | None
-    no_raw: str
+    raw: Variability | Missing
 
 
 def matched_variability(
@@ -129,18 +129,16 @@ def _point(
     drawn = draws(n_env, size, n_draw, rng)
     # one deal a draw for the floor, and as many where there is one draw of all
     each = [_matrices(runs[:, envs], distance, n_draw // len(drawn), rng) for envs in drawn]
-    raw, no_raw = None, ""
+    raw: Variability | Missing
     if size == n_env:
         raw = _variability(each)
     elif n_env * n_item <= max_points:
         raw = _variability([_matrices(runs, distance, n_draw, rng)])
     else:
-        no_raw = f"{n_env * n_item} points a run are more than {max_points}"
+        raw = Missing(f"{n_env * n_item} points a run are more than {max_points}")
     between = [float(m[np.triu_indices(n_run, 1)].mean()) for m, _, _ in each if m is not None]
     within = [float(p.mean()) for _, p, _ in each if p is not None]
-    return MatchedPoint(
-        n_env, n_run, size, _variability(each), _sd(between), _sd(within), len(drawn), raw, no_raw
-    )  # fmt: skip
+    return MatchedPoint(n_env, n_run, size, _variability(each), _sd(between), _sd(within), len(drawn), raw)
 
 
 _Found = tuple[Points | None, Points | None, float | None]

@@ -97,9 +97,9 @@ def test_all_commands_on_any_layout(layout: Layout) -> None:
         metrics = group["metrics"]
         assert metrics["distinct_runs"]["value"] == (1 if alike else 2)
         for name, metric in metrics.items():
-            assert (metric["value"] is None) == bool(metric.get("why_not")), name
+            assert (metric["value"] is None) == bool(metric.get("value_missing")), name
         if not positions:
-            assert 'needs a group with the field "position"' in metrics["w1_run_to_run"]["why_not"]
+            assert 'needs a group with the field "position"' in metrics["w1_run_to_run"]["value_missing"]
         assert (metrics["joint_slide_run_to_run"]["value"] is not None) == ("m" in qpos)
         if "rad" in qpos:
             assert metrics["joint_angle_run_to_run"]["value"] is not None

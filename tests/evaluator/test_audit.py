@@ -31,6 +31,7 @@ from gpusimbench.evaluator.audit.distribution import (
 from gpusimbench.evaluator.audit.matching import closest
 from gpusimbench.evaluator.audit.replaying import ReplayPlan
 from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
+from gpusimbench.evaluator.json_values import SCHEMA_VERSION
 from gpusimbench.schemas.provenance import SIMULATION
 from tests.conftest import call, distribution, wait_for
 from tests.forging import forge
@@ -125,7 +126,7 @@ def _audit(
 
 def _one(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
     document = json.loads(done.stdout)
-    assert document["schema_version"] == 1
+    assert document["schema_version"] == SCHEMA_VERSION
     (audit,) = document["audits"]
     found: dict[str, Any] = audit
     return found
@@ -201,7 +202,7 @@ def test_every_level_is_reached(there: str, here: str, plugin: dict[str, str], t
         assert (number["field"], number["ulp"], number["component"]) == ("cubes/position", 1, "x")
         assert audit["difference"]["first"]["step_a"] == 0
     if here == "no-device":
-        assert "no CUDA-capable device is detected" in audit["why_not"]
+        assert "no CUDA-capable device is detected" in audit["level_missing"]
     if here == "run":
         # every environment of a run has the same bits, so that a run is one draw
         assert audit["law"]["unit"] == "runs"

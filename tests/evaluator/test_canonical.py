@@ -163,7 +163,7 @@ def test_a_broken_law_is_held_against_other_scenes(recorded: dict[str, Path], tm
     board = tmp_path / "board"
     call("gsb-share", "leaderboard", recorded["blocks"].parent, "--out", board, "--no-cache", code=5)
     (section,) = json.loads((board / "leaderboard.json").read_text())["sections"]
-    assert said in section["rows"][0]["no_place"]
+    assert said in section["rows"][0]["place_missing"]
 
 
 @pytest.mark.parametrize(("name", "array"), [("pendulum", "qpos"), ("pendulum", "qvel"), ("blocks", "linear")])
@@ -209,8 +209,8 @@ def test_a_law_that_is_not_measured_says_why(tmp_path: Path, asked: tuple[str, .
     for more in ((), ("--all",)):
         assert why.rpartition(": ")[2] in " ".join(call("gsb-eval", path, *more).stdout.split())
     (group,) = json.loads(call("gsb-eval", path, "--json", "-").stdout)["groups"]
-    assert group["laws"] == [] and group["laws_missing"]
-    assert any(why in f"{law['title']}: {law['reason']}" for law in group["laws_missing"])
+    assert group["laws"] and all(law["missing"] for law in group["laws"])
+    assert any(why in f"{law['title']}: {law['missing']}" for law in group["laws"])
 
 
 def _values(measured: list[float], predicted: float = 1.0, slope: float = 2.0, tolerance: float = 0.01) -> PhysicsFacts:

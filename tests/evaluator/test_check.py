@@ -21,6 +21,7 @@ from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import SHIPPED, Level, Scope, load_rules, parse_rules
 from gpusimbench.evaluator.cli.check import main
+from gpusimbench.evaluator.json_values import SCHEMA_VERSION
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.messages import message_class
@@ -245,7 +246,7 @@ def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = whole(tmp_path, dropout="the disk was full")
     assert main([str(path), "--json", "-"]) == ExitCode.DATA_LOST
     document = json.loads(capsys.readouterr().out)
-    assert (document["schema_version"], document["exit_code"]) == (1, 3)
+    assert (document["schema_version"], document["exit_code"]) == (SCHEMA_VERSION, 3)
     assert document["rule_sets"] == ["integrity-1"]
     (finding,) = document["findings"]
     assert finding["rule"] == "no-dropouts"

@@ -329,7 +329,7 @@ def test_head_that_never_starts(tmp_path: Path, capsys: pytest.CaptureFixture[st
     dead = [{"built": False, "status": "FAILED", "reason": "no memory", "cause": "DEVICE_MEMORY"}] * 6
     code, document = compared(*write_sides(tmp_path, timed(), dead), capsys=capsys)
     assert (code, finding(document, "complete_runs")["change"]) == (4, "regression")
-    assert finding(document, "fps")["why_not"] == "no run of this group is complete"
+    assert finding(document, "fps")["missing"] == "no run of this group is complete"
 
 
 def spread(seed: int, by: float = 0.0, size: float = 0.003) -> Any:
@@ -347,8 +347,8 @@ def test_outcomes_of_runs_that_differ(tmp_path: Path, capsys: pytest.CaptureFixt
         found, document = compared(*write_sides(tmp_path / name, base, head, elapsed_s=None), capsys=capsys)
         outcome = finding(document, "outcome")
         assert (found, outcome["change"]) == (code, change)
-        assert finding(document, "fps")["why_not"] == "the timed phase was left out"
-        assert "differ from each other" in finding(document, "states")["why_not"]
+        assert finding(document, "fps")["missing"] == "the timed phase was left out"
+        assert "differ from each other" in finding(document, "states")["missing"]
     assert outcome["least_p"] == 2 / 924
 
 
@@ -362,7 +362,7 @@ def test_histories_that_are_on_both_sides(
     """Count the histories that occur on both sides, where runs of one differ and no bits can be compared."""
     sides = [[{"final": spread(i)} for i in seeds] for seeds in ((0, 1), head)]
     _, document = compared(*write_sides(tmp_path, *sides, "ABBA", elapsed_s=None), capsys=capsys)
-    assert finding(document, "states")["why_not"] == f"runs of base differ from each other; {said} on both sides"
+    assert finding(document, "states")["missing"] == f"runs of base differ from each other; {said} on both sides"
 
 
 def test_other_numbers_of_cubes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -373,7 +373,7 @@ def test_other_numbers_of_cubes(tmp_path: Path, capsys: pytest.CaptureFixture[st
     for name, sides in (("fewer", (all_of_them, fewer)), ("more", (fewer, all_of_them))):
         _, document = compared(*write_sides(tmp_path / name, *sides, "ABBA", elapsed_s=None), capsys=capsys)
         outcome = finding(document, "outcome")
-        assert (outcome["change"], outcome["why_not"]) == (
+        assert (outcome["change"], outcome["missing"]) == (
             "not compared",
             "the runs have different numbers of environments or bodies",
         )
@@ -458,7 +458,7 @@ def test_another_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert (code, document["undecided"]) == (5, ["throughput"])
     assert compared(tmp_path / "base", tmp_path / "head", "--gate", "physics,bits", capsys=capsys)[0] == 0
     assert not document["compared"][0]["same_machine"]
-    assert "different machines" in finding(document, "fps")["why_not"]
+    assert "different machines" in finding(document, "fps")["missing"]
     assert any(
         "gsb-eval BASE HEAD shows both machines side by side" in one for one in document["compared"][0]["warnings"]
     )

@@ -74,7 +74,7 @@ def test_what_fails_comes_first() -> None:
             "a",
             finding(CHANGED, "differs", Axis.BUILD),
             finding(Change.UNCLEAR, "open", left_open=(FAILS,)),
-            finding(Change.NOT_COMPARED, "not there", Axis.MEMORY, why_not="no GPU"),
+            finding(Change.NOT_COMPARED, "not there", Axis.MEMORY, missing="no GPU"),
             finding(Change.SAME, "one"),
             finding(Change.UNCLEAR, "no gate", Axis.BUILD),
             finding(Change.SAME, "two"),

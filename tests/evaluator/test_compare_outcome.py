@@ -161,7 +161,7 @@ def test_positions_that_are_not_there(applies: bool) -> None:
         assert compare(None, SETTINGS, applies=applies) is None
         finding = compare(Missing("too large"), SETTINGS, applies=applies)
         assert isinstance(finding, Finding)
-        assert (finding.why_not, finding.applies) == ("too large", applies)
+        assert (finding.missing, finding.applies) == ("too large", applies)
 
 
 def test_mean_distances_within_the_sides() -> None:

@@ -156,9 +156,9 @@ def test_the_verdict_of_the_whole(found: Result, code: ExitCode, sentence: str, 
 
 def test_what_is_open_is_listed_by_its_reason() -> None:
     """Name what neither fails nor passes, what shares a reason together, in the order of the axes."""
-    memory = finding(Change.NOT_COMPARED, Axis.MEMORY, "memory", why_not="no GPU")
-    host = finding(Change.NOT_COMPARED, Axis.MEMORY, "host", why_not="no GPU")
-    absent = finding(Change.NOT_COMPARED, Axis.MEMORY, "absent", why_not="no GPU", applies=False)
+    memory = finding(Change.NOT_COMPARED, Axis.MEMORY, "memory", missing="no GPU")
+    host = finding(Change.NOT_COMPARED, Axis.MEMORY, "host", missing="no GPU")
+    absent = finding(Change.NOT_COMPARED, Axis.MEMORY, "absent", missing="no GPU", applies=False)
     found = result([memory, OPEN, host, absent])
     assert found.open == [memory, OPEN, host]
     assert found.undecided == [axis for axis in Axis if axis in (Axis.THROUGHPUT, Axis.MEMORY)]
@@ -173,7 +173,7 @@ def test_what_is_open_is_listed_by_its_reason() -> None:
     ("found", "begins"),
     [
         (result([FINE]), []),
-        (result([FINE, finding(Change.NOT_COMPARED, Axis.BITS, why_not="no states")]), []),
+        (result([FINE, finding(Change.NOT_COMPARED, Axis.BITS, missing="no states")]), []),
         (result([finding(Change.IMPROVEMENT)]), ["verdicts without a p"]),
         (result([finding(Change.IMPROVEMENT, p_value=0.01)]), []),
         (result([finding(Change.UNCLEAR, p_value=0.4)]), ["~: no difference"]),
@@ -214,8 +214,8 @@ def test_what_decides_is_said() -> None:
         (finding(Change.UNCLEAR, left_open=(Change.REGRESSION,), p_adjusted=0.4), "undecided"),
         (finding(Change.UNCLEAR, left_open=(Change.REGRESSION,), bounded=True), "undecided"),
         (finding(Change.UNCLEAR, left_open=(Change.IMPROVEMENT,)), "~ (too few runs)"),
-        (finding(Change.NOT_COMPARED, why_not="no states"), "undecided (too few runs)"),
-        (finding(Change.NOT_COMPARED, why_not="no states", applies=False), "not compared"),
+        (finding(Change.NOT_COMPARED, missing="no states"), "undecided (too few runs)"),
+        (finding(Change.NOT_COMPARED, missing="no states", applies=False), "not compared"),
         (finding(Change.WITHIN, p_adjusted=0.4), "~ within 5 %"),
         (finding(Change.SMALL, unit="cm"), "differs, below 0.01 cm"),
         (finding(Change.NEAR, bounded=True), "differs, perhaps below 5 %"),

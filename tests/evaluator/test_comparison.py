@@ -10,6 +10,7 @@ import pytest
 
 from gpusimbench.evaluator.metrics.guidelines import Guideline
 from gpusimbench.evaluator.metrics.radar import Axis
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.ranking import Comparison
 from tests.synthetic import grid, write_recording, write_sweep
@@ -39,7 +40,7 @@ def test_a_warm_up_of_its_own_is_no_reason_to_be_left_out(tmp_path: Path) -> Non
     assert [c.figures.name for c in found.contenders] == ["a", "b", "quick"]
     quick = found.contenders[2]
     why = "timed over steps 20 to 1,020 of the scene, and others over steps 100 to 1,100"
-    assert quick.why_not[Axis.THROUGHPUT] == why
+    assert quick.metrics[Axis.THROUGHPUT] == Missing(why)
     assert quick.figures.run_to_run == 0
     assert need(found, REPRODUCIBLE).pick == "a"
     assert need(found, REPRODUCIBLE).unranked == (f"quick (run-to-run 0.00 cm, parallel 0.00 cm): {why}",)
@@ -56,8 +57,7 @@ def test_what_is_wrong_in_another_scene_bars_a_pick(tmp_path: Path) -> None:
         reason="a state is not finite", environment={"SOME": "variable"},
     )  # fmt: skip
     found = need(compared(tmp_path), REPRODUCIBLE)
-    assert found.pick is not None
-    assert "solver=b" in found.pick
+    assert found.pick and "solver=b" in found.pick
     (barred,) = found.barred
     assert barred.endswith("1 of 1 run is INVALID (not finite) (free-fall)")
 

@@ -259,7 +259,7 @@ def test_origins_are_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     found = compare_all_envs(a)
     assert (found.verdict, found.bitwise, found.bit_identical) == (Verdict.WITHIN_RESOLUTION, False, False)
     assert (found.max_ulp, found.same_up_to_env_order, found.compared.hash_steps) == (None, None, None)
-    assert "origins" in found.splits.no_classes
+    assert "origins" in found.splits.classes_missing
     assert found.growth is not None
     assert set(found.growth.max_spatial) == {0.0}
 
@@ -336,7 +336,7 @@ def test_what_is_common_is_compared(tmp_path: Path) -> None:
     other = record(tmp_path, lambda step: np.roll(still(2)(step), -1, axis=1), field=replace(field, items=names))
     found = compare(a, other)
     assert found.compared.left_out[0] == "cubes/position: 26 items in common, of 27 in a, 27 in b"
-    assert "different items" in found.compared.no_hashes
+    assert "different items" in found.compared.hash_steps_missing
     assert "state.cubes/position.items" in {s.name for s in found.settings}
     # the scene's initial state is in the order of its own names
     assert found.first is not None
@@ -359,7 +359,7 @@ def test_an_exponential_is_measured(tmp_path: Path) -> None:
     assert growth.fit
     assert growth.fit.rate == pytest.approx(9.0, rel=1e-4)
     assert growth.fit.r_squared == pytest.approx(1, abs=1e-6)
-    assert (growth.fit.begin, growth.fit.points) == (pytest.approx(0.2), 64)
+    assert (growth.fit.begin_s, growth.fit.points) == (pytest.approx(0.2), 64)
     assert growth.to_1mm == pytest.approx(0.2 + 0.02 * np.ceil(np.log(1e5) / 9 / 0.02))
     assert growth.to_1cm == pytest.approx(0.2 + 0.02 * np.ceil(np.log(1e6) / 9 / 0.02))
     assert growth.median_spatial[50] == 0

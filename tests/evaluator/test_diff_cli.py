@@ -16,6 +16,7 @@ import pytest
 from gpusimbench.evaluator.cli.diff import main
 from gpusimbench.evaluator.diff.result import Change
 from gpusimbench.evaluator.diff.words import amount, changes, ranges, sparkline
+from gpusimbench.evaluator.json_values import SCHEMA_VERSION
 from gpusimbench.evaluator.render import console
 from gpusimbench.evaluator.render.numbers import length
 from tests.synthetic import cubes_field, grid, write_recording
@@ -183,7 +184,7 @@ def test_json_and_picture(pair: tuple[str, str], tmp_path: Path, capsys: pytest.
     """Write the whole result as JSON, and a picture that is well-formed and fetches nothing."""
     assert main([*pair, "--json", "-", "--plot", str(tmp_path / "growth.svg")]) == 4
     found = json.loads(capsys.readouterr().out)
-    assert (found["schema_version"], found["verdict"], found["bit_identical"]) == (1, "different", False)
+    assert (found["schema_version"], found["verdict"], found["bit_identical"]) == (SCHEMA_VERSION, "different", False)
     assert (found["first"]["step_a"], found["first"]["env_b"]) == (5, 1)
     assert found["first"]["state"]["number"]["item"] == "cube_0_1_1"
     assert found["splits"]["agreeing"] == [{"step": 0, "count": 3}, {"step": 5, "count": 2}]

@@ -124,8 +124,8 @@ def test_the_rate_of_an_exponential_is_found(rate: float, start: float) -> None:
     assert isinstance(fit, GrowthFit)
     assert fit.rate == pytest.approx(rate, rel=1e-6)
     assert fit.r_squared == pytest.approx(1)
-    assert fit.begin == times[0]
-    assert start * math.exp(rate * fit.end) < 1e-3
+    assert fit.begin_s == times[0]
+    assert start * math.exp(rate * fit.end_s) < 1e-3
     assert fit.doubling_time == pytest.approx(math.log(2) / rate)
 
 
@@ -165,7 +165,7 @@ def test_the_fit_says_how_much_it_explains() -> None:
     fit = fit_growth(times, np.exp(logs), limit=1.0)
     assert isinstance(fit, GrowthFit)
     assert fit.points == 40
-    assert (fit.begin, fit.end) == (times[0], times[-1])
+    assert (fit.begin_s, fit.end_s) == (times[0], times[-1])
     correlation = np.corrcoef(times, logs)[0, 1]
     assert 0.1 < correlation**2 < 0.9
     assert fit.r_squared == pytest.approx(correlation**2)
@@ -177,7 +177,7 @@ def test_five_points_make_a_rate() -> None:
     times, distances = np.arange(7.0), 2.0 ** np.arange(-40, -33)
     fit = fit_growth(times, distances, limit=float(distances[5]))
     assert isinstance(fit, GrowthFit)
-    assert (fit.points, fit.begin, fit.end) == (5, 0.0, 4.0)
+    assert (fit.points, fit.begin_s, fit.end_s) == (5, 0.0, 4.0)
     assert fit.doubling_time == pytest.approx(1.0)
     none = fit_growth(times, distances, limit=float(distances[4]))
     assert isinstance(none, Missing)

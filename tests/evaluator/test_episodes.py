@@ -323,7 +323,7 @@ def test_no_interval_of_what_never_differs(tmp_path: Path) -> None:
         call("gsb-episodes", tmp_path / "a.mcap", "--success", "truncated", "--json", "-", code=0).stdout
     )
     success, returned = document["policy"]["quantities"]
-    assert returned["ci95"] is None and returned["no_ci95"] == "all environments have the same mean"
+    assert returned["ci95"] is None and returned["ci95_missing"] == "all environments have the same mean"
     assert returned["least_shown"] is None
     low, high = wilson(0, 18)
     assert success["ci95"] == [low, high] and high > 0.1

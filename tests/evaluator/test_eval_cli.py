@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from gpusimbench.evaluator.json_values import SCHEMA_VERSION
 from gpusimbench.schemas.errors import FailedCrc
 from tests.conftest import Command, call
 from tests.synthetic import grid, write_recording
@@ -31,7 +32,7 @@ def test_json_and_html_files(gsb_eval: Command, small_set: list[Path], tmp_path:
     """Write JSON and the report beside the table."""
     done = gsb_eval(*small_set, "--sample-time", 1, "--json", tmp_path / "r.json", "--html", tmp_path / "report")
     assert done.returncode == 0, done.stderr
-    assert json.loads((tmp_path / "r.json").read_text())["schema_version"] == 1
+    assert json.loads((tmp_path / "r.json").read_text())["schema_version"] == SCHEMA_VERSION
     assert str(tmp_path / "report" / "index.html") in done.stdout
     assert "inclined-collision" in (tmp_path / "report" / "index.html").read_text()
 

@@ -94,7 +94,7 @@ def test_both_vary(gsb_eval: Command, tmp_path: Path) -> None:
     low, high = found["w1_run_to_run"]["ci95"]
     assert low < found["w1_run_to_run"]["value"] < high
     assert found["w1_run_to_run"]["n"] == 6
-    floor = found["w1_run_to_run"]["extra"]["floor"]
+    floor = found["w1_run_to_run"]["extra"]["permutation_test"]["w1"]
     assert floor["p_value"] > 0.05, "all envs are of one law"
     assert floor["floor_mean_cm"] == pytest.approx(floor["observed_cm"], rel=0.5)
 
@@ -134,7 +134,7 @@ def test_origins_are_subtracted(gsb_eval: Command, tmp_path: Path) -> None:
     assert found["w1_parallel"]["value"] == pytest.approx(0.0, abs=1e-9)
     assert found["left_board"]["value"] == 0
     assert found["distinct_envs"]["value"] is None
-    assert "different origins" in found["distinct_envs"]["why_not"]
+    assert "different origins" in found["distinct_envs"]["value_missing"]
 
 
 def test_unequal_counts_are_an_extension(gsb_eval: Command, tmp_path: Path) -> None:
@@ -169,13 +169,13 @@ def test_what_cannot_be_computed_says_why(
     found = metrics_of(done.stdout)[missing]
     assert found["value"] is None
     assert found["exactness"] == "none"
-    assert why in found["why_not"]
+    assert why in found["value_missing"]
     assert why in " ".join(gsb_eval(path, "--sample-time", 5, "--all").stdout.split())
 
 
 def test_one_env(gsb_eval: Command, tmp_path: Path) -> None:
     """Have no parallel variability with one environment."""
-    assert metrics(gsb_eval, write_recording(tmp_path, grid(1)))["w1_parallel"]["why_not"] == (
+    assert metrics(gsb_eval, write_recording(tmp_path, grid(1)))["w1_parallel"]["value_missing"] == (
         "needs at least two environments"
     )
 
@@ -256,5 +256,5 @@ def test_a_real_set(gsb_eval: Command, small_set: list[Path]) -> None:
     assert found["w1_parallel"]["value"] == 0
     assert {d["parameter"] for d in group["deviations"]} >= {"304 steel.restitution"}
     for name, metric in found.items():
-        assert (metric["value"] is None) == bool(metric["why_not"]), name
+        assert (metric["value"] is None) == bool(metric["value_missing"]), name
         assert metric["direction"] in ("higher", "lower", "neither")

@@ -42,7 +42,7 @@ def test_one_broken_value_breaks_the_group() -> None:
     """Break where one environment of one run is beyond the tolerance, and count it."""
     row = fidelity("x", [run(2.4, 2.41), run(2.38, 2.46)]).rows[0]
     assert row.found is not None
-    assert (row.verdict, row.found.broken, row.found.count, row.runs) == (Verdict.BROKEN, 1, 4, 2)
+    assert (row.verdict, row.found.broken, row.found.count, row.n_run) == (Verdict.BROKEN, 1, 4, 2)
     assert row.found.mean == pytest.approx(2.4125)
     assert (row.found.least, row.found.most) == (2.38, 2.46)
 
@@ -55,16 +55,16 @@ def test_the_tolerance_belongs_to_what_is_held() -> None:
 def test_runs_that_could_not_be_measured_are_told() -> None:
     """Judge by those that could, and keep the reason of the others."""
     row = fidelity("x", [run(2.4), run(why="sparse")]).rows[0]
-    assert (row.verdict, row.runs, row.reason) == (Verdict.HELD, 1, "sparse")
+    assert (row.verdict, row.n_run, row.reason) == (Verdict.HELD, 1, "sparse")
     none = fidelity("x", [run(why="sparse"), run(why="sparse")]).rows[0]
     assert (none.verdict, none.found, none.reason) == (Verdict.NOT_APPLICABLE, None, "sparse")
 
 
 def test_groups_without_facts_say_why() -> None:
     """Give the reason of the runs, or that there is none that can be used."""
-    assert fidelity("x", []).why_not == "no run can be used"
+    assert fidelity("x", []).checks_missing == "no run can be used"
     silent = replace(run(2.4), facts=Missing("no states were recorded"))
-    assert fidelity("x", [silent, silent]).why_not == "no states were recorded"
+    assert fidelity("x", [silent, silent]).checks_missing == "no states were recorded"
     assert fidelity("x", [silent, run(2.4)]).rows[0].verdict is Verdict.HELD
 
 

@@ -120,7 +120,7 @@ def test_options_that_fail() -> None:
     assert not isinstance(best.error, Missing)
     assert best.error < 1.1
     rows = list(csv.reader(dump_csv(made).splitlines()))
-    assert rows[0] == ["evaluation", "a", "b", "error_even_cm", "why_not"]
+    assert rows[0] == ["evaluation", "a", "b", "error_even_cm", "error_even_cm_missing"]
     assert [row[4] for row in rows[1:] if not row[3]] == [refused.reason] * sum(one.error is refused for one in made)
     assert search(_START, lambda options: refused, 60) == (Evaluation(made[0].options, refused),)
     assert best_of(search(_START, lambda options: refused, 60)) is None

@@ -8,6 +8,7 @@ import pytest
 
 from gpusimbench.evaluator.metrics.guidelines import Guideline, guidelines
 from gpusimbench.evaluator.metrics.radar import SimulatorResult
+from gpusimbench.evaluator.missing import Missing
 
 PUBLISHED = [
     SimulatorResult("Genesis", 2.234e4, 2**11, 7.8, 4.78, 0.0, 0.0, 11.124e6, 2**17),
@@ -49,7 +50,6 @@ def test_published_figures(need: str, pick: str) -> None:
     """Apply the rules to the published figures."""
     found = row(PUBLISHED, need)
     assert found.pick == pick
-    assert found.reason is None
 
 
 def test_evidence_names_the_numbers() -> None:
@@ -71,24 +71,21 @@ def test_overall_prints_the_radar_mean() -> None:
 def test_nobody_qualifies() -> None:
     """Make no pick where no simulator meets the condition."""
     found = row([PUBLISHED[2], PUBLISHED[5]], "reproducible")
-    assert (found.pick, found.evidence) == (None, None)
-    assert found.reason is not None
-    assert found.reason.startswith("no simulator qualifies: Madrona (run-to-run 11.47 cm")
+    assert isinstance(found.pick, Missing) and found.evidence is None
+    assert found.pick.reason.startswith("no simulator qualifies: Madrona (run-to-run 11.47 cm")
 
 
 def test_one_alone_is_no_comparison() -> None:
     """Make no pick where only one simulator has the figures."""
     found = row([PUBLISHED[0], SimulatorResult("New", fps=1.0)], "memory")
-    assert found.pick is None
-    assert found.reason == "only Genesis has all the figures that the rule needs"
+    assert found.pick == Missing("only Genesis has all the figures that the rule needs")
 
 
 def test_nothing_measured() -> None:
     """Give a reason in every row where there is nothing to compare."""
     for results in ([], [SimulatorResult("a"), SimulatorResult("b")]):
         for found in guidelines(results):
-            assert found.pick is None
-            assert found.reason == "no simulator has all the figures that the rule needs"
+            assert found.pick == Missing("no simulator has all the figures that the rule needs")
 
 
 def test_exact_ties_are_both_named() -> None:
@@ -139,8 +136,7 @@ def test_bars_of_loose_bodies_and_of_robots_are_two() -> None:
 def test_everyone_barred_is_no_pick() -> None:
     """Make no pick where nobody is left, and keep the reasons."""
     found = guidelines([replace(r, barred="broken") for r in PUBLISHED])[0]
-    assert found.pick is None
-    assert found.reason == "every simulator that has the figures is barred"
+    assert found.pick == Missing("every simulator that has the figures is barred")
     assert len(found.barred) == len(PUBLISHED)
 
 
@@ -155,7 +151,7 @@ def test_reproducible_without_a_throughput() -> None:
     assert f"qualify too, not ranked: {found.unranked[0]}" in found.evidence
     assert "MJX" not in found.unmeasured
     alone = row([replace(r, fps=None, why_no_fps=why) for r in PUBLISHED], "reproducible")
-    assert (alone.pick, alone.reason) == (None, "no simulator that qualifies can be ranked")
+    assert alone.pick == Missing("no simulator that qualifies can be ranked")
     assert len(alone.unranked) == 2
 
 

@@ -144,7 +144,8 @@ def test_a_gate_that_few_points_cannot_decide(tmp_path: Path, capsys: pytest.Cap
     code, document = history(tmp_path, "--gate", "throughput", capsys=capsys)
     assert code == 5
     assert (
-        document["undecided"][0]["why"] == "points differ so much that a change above the threshold could not be seen"
+        document["undecided"][0]["reason"]
+        == "points differ so much that a change above the threshold could not be seen"
     )
     assert history(tmp_path, capsys=capsys)[0] == 0
 
@@ -176,11 +177,11 @@ def test_a_point_without_a_value_says_why(tmp_path: Path, capsys: pytest.Capture
     for index in range(3):
         write_point(tmp_path, index, host_bytes=None if index == 1 else (10**8, 2 * 10**8))
     _, document = history(tmp_path, capsys=capsys)
-    told = [(p["value"], p["why_not"]) for p in curve(document, "host_memory_peak_increment")["points"]]
+    told = [(p["value"], p["value_missing"]) for p in curve(document, "host_memory_peak_increment")["points"]]
     assert told == [
-        (100.0, None),
+        (100.0, ""),
         (None, "the timed phase was left out, or no memory was sampled in it"),
-        (100.0, None),
+        (100.0, ""),
     ]
 
 

@@ -80,7 +80,7 @@ def test_amounts_are_told_in_their_unit() -> None:
 @pytest.mark.parametrize(
     ("metric", "logs", "more", "why"),
     [
-        (FPS, True, {"why_not": "too few"}, "too few"),
+        (FPS, True, {"changes_missing": "too few"}, "too few"),
         (FPS, True, {"exact": True}, ""),
         (FPS, True, {"sighted": None}, "too few points since the last change"),
         (FPS, True, {"sighted": 1.049}, ""),
@@ -110,7 +110,7 @@ def test_what_varies_and_what_is_tested() -> None:
     assert not curve(FPS, [1.0, 2.0], exact=True).tested
     assert not curve(FPS, [2.0, 2.0]).varies
     assert not curve(FPS, [2.0, 2.0]).tested
-    assert not curve(FPS, [1.0, 2.0], why_not="too large").tested
+    assert not curve(FPS, [1.0, 2.0], changes_missing="too large").tested
     gone = Curve(FPS, Axis.THROUGHPUT, (Sample(1, Missing("no run")), Sample(2, 5.0, None, 2, 5.0)), False, False)
     assert [sample.point for sample in gone.known] == [2]
     assert not gone.varies

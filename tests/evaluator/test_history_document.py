@@ -183,7 +183,7 @@ def test_the_whole() -> None:
     )
     curves = (
         curve(FPS, 100.0, 100.0, 50.0, shifts=moved),
-        curve(HOST, 7.0, 9.0, 11.0, why_not="too large"),
+        curve(HOST, 7.0, 9.0, 11.0, changes_missing="too large"),
         curve(METRICS["distinct_runs"]),
     )
     facts = [*changes(1), Fact(1, 0, finding(Change.SMALL, "f1", note="runs of a side"))]

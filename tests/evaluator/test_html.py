@@ -22,7 +22,7 @@ from gpusimbench.evaluator.metrics.density import HexGrid, marginal
 from gpusimbench.evaluator.metrics.guidelines import guidelines
 from gpusimbench.evaluator.metrics.levels import Worst
 from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar
-from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.player.playback import playback_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.templating import script
@@ -252,7 +252,7 @@ def test_every_group_and_metric_appears(several: Evaluation) -> None:
     assert "a note on the whole set" in text
     assert all(g.need in text and g.rule in text for g in several.comparison.guidelines)
     for guideline in several.comparison.guidelines:
-        assert all(said in text for said in (*guideline.ranking, *guideline.disqualified, guideline.reason or ""))
+        assert all(said in text for said in (*guideline.ranking, *guideline.disqualified, why_missing(guideline.pick)))
 
 
 def test_values_have_sensible_digits(several: Evaluation) -> None:
@@ -277,7 +277,7 @@ def test_missing_values_are_reasons(alone: Evaluation) -> None:
             assert f"not computed: {metric.value.reason}" in Page(text).text
     base = alone.results[0]
     reasons = {name: missing(metric, f"reason of {name}") for name, metric in METRICS.items()}
-    unseen = replace(base.fidelity, rows=(), why_not="no states were recorded")
+    unseen = replace(base.fidelity, rows=(), checks_missing="no states were recorded")
     empty = replace(base, metrics=reasons, cloud=None, fidelity=unseen)
     text = render(replace(alone, results=(empty,), maps={}))
     rows = re.findall(r"<tbody>(.*?)</tbody>", text, flags=re.DOTALL)

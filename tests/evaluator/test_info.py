@@ -13,6 +13,7 @@ import pytest
 from gpusimbench.evaluator.check.inspection import inspect
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.cli.info import main
+from gpusimbench.evaluator.json_values import SCHEMA_VERSION
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.info import info_document
 from gpusimbench.schemas.errors import ExitCode
@@ -77,7 +78,7 @@ def test_json(gsb_info: Command, small_set: list[Path], tmp_path: Path) -> None:
     done = gsb_info(*small_set, text, "--json", "-")
     assert done.returncode == ExitCode.DATA_LOST
     document = json.loads(done.stdout)
-    assert document["schema_version"] == 1
+    assert document["schema_version"] == SCHEMA_VERSION
     assert [file["status"] for file in document["files"]] == ["complete"] * 3 + ["unreadable"]
     first = document["files"][0]
     assert first["provenance"]["configuration"]["n_env"] == 4

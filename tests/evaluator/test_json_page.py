@@ -1,20 +1,27 @@
-"""docs/json.md names every key of the JSON of gsb-eval in the section of its place, and no key that is not there."""
+"""docs/json.md names every key of the JSON of gsb-eval in the section of its place, and no key that is not there. No
+key vanishes, or changes its type, while the version stays.
+
+python -m tests.evaluator.test_json_page    writes the list of keys anew
+"""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import pytest
 
+from gpusimbench.evaluator.json_values import MISSING, SCHEMA_VERSION
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.details import Details
 from gpusimbench.evaluator.results.metrics import METRICS
+from gpusimbench.evaluator.statistics.floor import Floor
 from tests.conftest import call, recorded, run_python
+from tests.json_keys import NAMES, Keys, broken, check, keys_of, write
 from tests.test_docs import blocks, commands, shell
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,10 +38,6 @@ SETS = {
     "a probe, a sweep with states": ("recordings/vary-h100/warp-*T0320*", "recordings/vary-h100/warp-*T032[134]*"),
 }  # fmt: skip
 
-NAMES = {"metrics", "options", "switches", "memory_models", "checks", "by_rule", "protocol_not_met", "radar", "values",
-         "scenes", "failed"}  # fmt: skip
-"""Keys whose objects have names of metrics, options, rules, groups and scenes, which the page does not list."""
-
 SECTIONS = {
     "Top level": ("",),
     "A group": ("groups",),
@@ -43,7 +46,7 @@ SECTIONS = {
     "The timed phase": ("groups.timed", "sweeps.points.timed", "compared.timed", "capability.scenes.timed",
                         "price_list.default.timed", "price_list.levels.timed"),
     "Validity": ("groups.validity",),
-    "Physics": ("groups.physics", "groups.laws", "groups.laws_missing"),
+    "Physics": ("groups.physics", "groups.laws"),
     "Divergence": ("groups.divergence",),
     "Sweeps": ("sweeps", "accumulation", "convergence"),
     "Comparison": ("compared", "radar", "guidelines"),
@@ -59,8 +62,7 @@ ELSEWHERE = {"Sweeps": ("A group",), "Published table": ("A group", "Comparison"
 
 OTHERS = {
     "A group": {"gsb-record": "a command"},
-    "A metric": {"certified": "W1 of sets of more than 5000 points", "sampled": "pairs of more runs than are shipped",
-                 "interval_why_not": "a key of extra"},
+    "A metric": {"certified": "W1 of sets of more than 5000 points", "sampled": "pairs of more runs than are shipped"},
     "Further numbers": {
         "ci95": "a key of a metric", "rounding": "no runs so nearly equal",
     },
@@ -93,8 +95,7 @@ def gather(value: Any, place: str, named: int, into: dict[str, Found]) -> None:
                 continue
             into[section_of(place)].keys.add(key)
             within = f"{place}.{key}".lstrip(".")
-            of_names = key in NAMES or (key == "why_not" and isinstance(below, dict))
-            gather(below, within, 2 if key == "radar" else int(of_names), into)
+            gather(below, within, 2 if key == "radar" else int(key in NAMES), into)
     elif isinstance(value, list):
         for each in value:
             gather(each, place, named, into)
@@ -111,12 +112,7 @@ def declared(kind: type) -> Iterator[str]:
             while stack:
                 hint = stack.pop()
                 stack += get_args(hint)
-                if (
-                    isinstance(hint, type)
-                    and is_dataclass(hint)
-                    and hint is not Missing
-                    and not hasattr(hint, "record")
-                ):
+                if isinstance(hint, type) and is_dataclass(hint) and hint not in (Missing, Floor):
                     yield from declared(hint)
 
 
@@ -136,10 +132,8 @@ def section_of(place: str) -> str:
         place = place.rpartition(".")[0]
 
 
-@pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Found]:
-    """Keys and texts in the JSON of varied recordings, by section of the page."""
-    folder = tmp_path_factory.mktemp("json")
+def made() -> list[Any]:
+    """The JSON of varied recordings."""
     sets = [sorted(p for pattern in patterns for p in ROOT.glob(f"{pattern}.mcap")) for patterns in SETS.values()]
     asked = [(*files, "--no-cache") for files in sets]
     pendulums = [
@@ -150,14 +144,34 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Found]:
             "--steps", round(seconds / dt), "--initial", "random:0.8", "--no-view",
         )
     ]  # fmt: skip
+    every = (*asked, (*pendulums, "--sample-time", 1, "--no-cache"))
+    return [json.loads(call("gsb-eval", *arguments, "--json", "-").stdout) for arguments in every]
+
+
+@pytest.fixture(scope="module")
+def documents() -> list[Any]:
+    """The same, made once."""
+    return made()
+
+
+@pytest.fixture(scope="module")
+def found(documents: list[Any]) -> dict[str, Found]:
+    """Their keys and texts, by section of the page."""
     by_section = {section: Found() for section in SECTIONS}
-    for arguments in (*asked, (*pendulums, "--sample-time", 1, "--no-cache")):
-        call("gsb-eval", *arguments, "--json", folder / "results.json")
-        gather(json.loads((folder / "results.json").read_text(encoding="utf-8")), "", 0, by_section)
-    by_section["Further numbers"].keys.update(
-        key for kind in kinds() if kind.record is Details.record for key in declared(kind)
-    )
+    for document in documents:
+        gather(document, "", 0, by_section)
+    by_section["Further numbers"].keys.update(of_details())
     return by_section
+
+
+def of_details() -> set[str]:
+    """Keys that the JSON of some recording has under `extra`, also of those that are not shipped."""
+    return {key for kind in kinds() if kind.record is Details.record for key in declared(kind)}
+
+
+def listed(documents: Iterable[Any]) -> Keys:
+    """The keys of the documents, and those of details."""
+    return {**keys_of(documents), **{f"extra: {key}": [] for key in sorted(of_details())}}
 
 
 @pytest.fixture(scope="module")
@@ -175,6 +189,11 @@ def quoted(text: str) -> set[str]:
     return parts - {"null", '""'}
 
 
+def ruled(keys: set[str]) -> set[str]:
+    """Keys that the rule of missing values at the top of the page explains: reasons beside a key, and of an entry."""
+    return {key for key in keys if key == "missing" or (key.endswith(MISSING) and key.removesuffix(MISSING) in keys)}
+
+
 def test_the_page_names_every_key_and_no_other(found: dict[str, Found], page: dict[str, str]) -> None:
     """Name each key of the JSON in the section that is about its place, or where that section says; and put nothing
     else in backticks there but texts of the JSON and what the test lists."""
@@ -183,12 +202,52 @@ def test_the_page_names_every_key_and_no_other(found: dict[str, Found], page: di
     for section, there in found.items():
         told, others = quoted(page[section]), OTHERS.get(section, {}).keys()
         elsewhere = {name for other in ELSEWHERE.get(section, ()) for name in quoted(page[other])}
-        missing[section] = there.keys - told - elsewhere
+        missing[section] = there.keys - told - elsewhere - ruled(there.keys)
         unknown[section] = told - there.keys - there.texts - others - places - set(METRICS)
         listed[section] = others & (there.keys | there.texts)
     assert {section: sorted(names) for section, names in missing.items() if names} == {}
     assert {section: sorted(names) for section, names in unknown.items() if names} == {}
     assert {section: sorted(names) for section, names in listed.items() if names} == {}, "they are there now"
+
+
+def test_no_key_vanishes_while_the_version_stays(documents: list[Any]) -> None:
+    """Find every key that is listed for this version with values of the listed types, and list every key."""
+    assert check("eval", listed(documents)) == []
+
+
+def test_a_reason_stands_where_a_value_does_not(documents: list[Any]) -> None:
+    """Give a reason with no value that is there, by the rule at the top of the page, in every object."""
+    seen: set[bool] = set()
+
+    def look(value: Any, place: str) -> None:
+        if isinstance(value, dict):
+            for key in [key for key in value if key.endswith(MISSING)]:
+                there = value[key.removesuffix(MISSING)] not in (None, [], {})
+                assert isinstance(value[key], str) and not (there and value[key]), f"{place}.{key}"
+                seen.add(there)
+            assert not value.get("missing") or not any(isinstance(v, float) for v in value.values()), place
+        for key, below in value.items() if isinstance(value, dict) else enumerate(value):
+            if isinstance(below, (dict, list)):
+                look(below, f"{place}.{key}")
+
+    for document in documents:
+        look(document, "")
+    assert seen == {True, False}
+
+
+def test_a_key_that_vanishes_breaks_the_version() -> None:
+    """Tell keys that vanished, or whose values have another type, from keys that are new."""
+    kept = keys_of([{"a": 1, "options": {"x": 1.5}, "b": [{"c": None}, {"c": "text"}]}])
+    assert kept == {"a": ["number"], "b": ["list"], "b[].c": ["null", "text"], "options.*": ["number"]}
+    assert broken(kept, keys_of([{"a": 2, "options": {"y": 2}, "b": [{"c": None, "new": 1}, {"c": ""}]}])) == []
+    assert broken(kept, keys_of([{"a": "2", "options": {"y": 2}, "b": []}])) == [
+        "b[].c has vanished", "a is text, was number",
+    ]  # fmt: skip
+
+
+def test_the_page_has_the_version() -> None:
+    """State on the page the version that the documents have."""
+    assert f"`schema_version` is {SCHEMA_VERSION}." in PAGE.read_text(encoding="utf-8")
 
 
 def test_the_example_runs(tmp_path: Path) -> None:
@@ -199,3 +258,7 @@ def test_the_example_runs(tmp_path: Path) -> None:
     assert done.stdout
     (line,) = run_python(program, cwd=tmp_path).stdout.splitlines()
     assert re.fullmatch(r"mujoco \d+ env-steps/s", line)
+
+
+if __name__ == "__main__":
+    write("eval", listed(made()))

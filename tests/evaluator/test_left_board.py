@@ -140,7 +140,7 @@ def test_floor_and_p_stand_beside_runs(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     files = [write_recording(tmp_path, grid(4) + rng.normal(0, 0.01, (4, 27, 3)), run=r) for r in range(3)]
     found = evaluate_files(files)
-    floor = to_json(found)["groups"][0]["metrics"]["w1_run_to_run"]["extra"]["floor"]
+    floor = to_json(found)["groups"][0]["metrics"]["w1_run_to_run"]["extra"]["permutation_test"]["w1"]
     shown = f"{floor['observed_cm']:.3f}; {floor['floor_mean_cm']:.3f}; {floor['p_value']:.2g}"
     assert shown in text_of(found)
     assert shown in render_html(found, published=False, command="")

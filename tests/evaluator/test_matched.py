@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.metrics.variability import parallel_variability, run_to_run_variability
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.statistics.matched import draws, matched_variability
 from gpusimbench.evaluator.transport.pair import wasserstein1
 
@@ -97,7 +98,7 @@ def test_identical_runs_have_none_at_any_size() -> None:
 def test_what_is_not_computed() -> None:
     """Say why there is no raw value; leave out what one run or one env has not."""
     (point,) = matched_variability({8: one_law(1, 8)}, w1, n_draw=2, seed=0, size=1, max_points=20)
-    assert (point.raw, point.no_raw) == (None, "24 points a run are more than 20")
+    assert point.raw == Missing("24 points a run are more than 20")
     assert point.matched.run_to_run is None
     assert point.matched.parallel is None
     assert point.matched.floor is None
@@ -109,8 +110,8 @@ def test_how_many_points_are_not_too_many() -> None:
         (point,) = matched_variability(
             {n_env: one_law(1, n_env, n_item=n_item)}, lambda a, b: 1.0, n_draw=1, seed=0, size=1
         )
-        assert (point.raw is not None) is there
-    assert point.no_raw == "2001 points a run are more than 2000"
+        assert bool(point.raw) is there
+    assert point.raw == Missing("2001 points a run are more than 2000")
 
 
 def test_seeded_and_solved_once() -> None:

@@ -55,14 +55,14 @@ def test_recordings_of_mjx_have_a_speed_for_each_outcome(found: Evaluation) -> N
     assert speeds is not None and speeds.p_value <= ALPHA and speeds.ranges == RANGES
     for label in set(runs.classes):
         ours = [value for value, own in zip(fps["mjx"].per_run or (), runs.classes, strict=True) if own == label]
-        assert (len(ours), min(ours), max(ours)) in [(one.runs, one.low, one.high) for one in speeds.outcomes]
+        assert (len(ours), min(ours), max(ours)) in [(one.n_run, one.low, one.high) for one in speeds.outcomes]
     said = f"{RANGES} env-steps/s; the mean describes none of them"
     shown = " ".join(text_of(found).split())
     assert f"by outcome: {RANGES}" in shown and said in shown
     page = text_in(render_html(found, published=False, command="c"))
     assert page.count(f"by outcome: {RANGES}") == 1 and said in page
     (group,) = [one for one in values_of(to_json(found))["groups"] if "speeds" in one["metrics"]["fps"]["extra"]]
-    assert [one["runs"] for one in group["metrics"]["fps"]["extra"]["speeds"]["outcomes"]] == [3, 5, 2]
+    assert [one["n_run"] for one in group["metrics"]["fps"]["extra"]["speeds"]["outcomes"]] == [3, 5, 2]
     assert said in " ".join(group["notes"])
 
 

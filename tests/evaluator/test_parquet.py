@@ -31,7 +31,7 @@ def test_the_tables_say_what_the_document_says(tmp_path: Path, small_set: list[P
         assert set(rows["metric"]) == set(group["metrics"])
         for row in rows.iter_rows(named=True):
             told = group["metrics"][row["metric"]]
-            for name in ("value", "unit", "sd", "n", "exactness", "method", "why_not"):
+            for name in ("value", "unit", "sd", "n", "exactness", "method", "value_missing"):
                 assert row[name] == told[name]
             assert [row["low"], row["high"]] == (told["ci95"] or [None, None])
     runs = pl.read_parquet(out / RUNS)
@@ -70,8 +70,8 @@ def test_values_that_are_none(tmp_path: Path) -> None:
     metrics = pl.read_parquet(parquet_tables(evaluation)[METRICS])
     row = metrics.row(by_predicate=pl.col("metric") == "w1_parallel", named=True)
     told = to_json(evaluation)["groups"][0]["metrics"]["w1_parallel"]
-    assert (row["value"], row["why_not"]) == (None, told["why_not"])
-    assert row["why_not"]
+    assert (row["value"], row["value_missing"]) == (None, told["value_missing"])
+    assert row["value_missing"]
 
 
 def test_without_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small: Path) -> None:

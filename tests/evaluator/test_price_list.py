@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.table_files import Format, table_files
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import render_html
@@ -63,14 +64,13 @@ def test_a_known_price(tmp_path: Path) -> None:
 def test_invalid_runs_have_no_price(tmp_path: Path) -> None:
     """Give no price for a switch that makes runs INVALID, and say so."""
     one = price(family(tmp_path, status="INVALID", cause="BUFFER", reason="contacts were dropped"))
-    assert one.speed.ratio is None
-    assert one.speed.why_not == "3 of 3 runs are INVALID (buffer), so it has no price"
+    assert one.speed.ratio == Missing("3 of 3 runs are INVALID (buffer), so it has no price")
 
 
 def test_refused_runs_say_why(tmp_path: Path) -> None:
     """Join a level that the engine refused to the family that was asked for the same."""
     one = price(family(tmp_path, built=False, status="FAILED", cause="REFUSED", reason="no such mode"))
-    assert (one.level, one.speed.why_not) == ("full", "refused: no such mode")
+    assert (one.level, one.speed.ratio) == ("full", Missing("refused: no such mode"))
 
 
 def test_a_variable_may_be_the_switch(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_a_level_that_sets_nothing_has_no_price(asked: dict[str, Any], tmp_path:
         write_recording(tmp_path, grid(2), run=run, elapsed_s=1.2 + 0.01 * run, determinism="full", **asked)
     evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
     (found,) = evaluation.price_list
-    assert (price(found).speed.ratio, price(found).speed.why_not) == (None, NO_EFFECT)
+    assert price(found).speed.ratio == Missing(NO_EFFECT)
     assert ratio(price(found).speed) == "no effect here"
     (table,) = (one for key, one in tables_of(evaluation).items() if key.startswith("prices"))
     (row,) = (one for name, one in rows_of(table).items() if "full" in name)
@@ -179,7 +179,9 @@ def test_no_default_no_price(tmp_path: Path) -> None:
         write_recording(tmp_path, grid(2), determinism=level)
     (found,) = evaluate_files(sorted(tmp_path.glob("*.mcap"))).price_list
     assert found.base is None
-    assert {p.speed.why_not for p in found.prices} == {"no group of the same configuration ran at the default level"}
+    assert {p.speed.ratio for p in found.prices} == {
+        Missing("no group of the same configuration ran at the default level")
+    }
 
 
 def test_sunk_cubes_are_a_fault(tmp_path: Path) -> None:

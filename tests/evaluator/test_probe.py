@@ -239,13 +239,13 @@ def test_noise_leaves_causes_open(tmp_path: Path) -> None:
     found = _probe(tmp_path, {USUAL_AGAIN: _moved(2, 5, 7), TREATED["excursion"]: _moved(1, 5, 12)})
     assert found["runs"].answer is Answer.NO
     assert found["restored"].answer is Answer.OPEN
-    assert found["restored"].why == "runs that were asked for the same differ too, from step 7 on"
+    assert found["restored"].reason == "runs that were asked for the same differ too, from step 7 on"
     assert found["slot"].answer is Answer.YES
     few, away = tmp_path / "few", ARMS[TREATED["excursion"]]
     (arms,) = arms_of([_write(few, ARMS[1]), _write(few, away, _moved(1, 5, 12))])
     alone = {finding.key: finding for finding in answers(arms)}
     assert alone["restored"].answer is Answer.OPEN
-    assert "runs were not compared" in alone["restored"].why
+    assert "runs were not compared" in alone["restored"].reason
 
 
 def test_what_is_not_there_is_not_asked(tmp_path: Path) -> None:
@@ -254,9 +254,9 @@ def test_what_is_not_there_is_not_asked(tmp_path: Path) -> None:
     (arms,) = arms_of([_write(tmp_path, ARMS[1]), failed])
     found = {finding.key: finding for finding in answers(arms)}
     assert {finding.answer for finding in found.values()} == {Answer.NOT_ASKED}
-    assert found["set"].why == "its run is failed: no room"
-    assert found["restored"].why == "needs a run with --intervene excursion@STEP+MORE"
-    assert found["number"].why == "needs runs of other numbers of environments"
+    assert found["set"].reason == "its run is failed: no room"
+    assert found["restored"].reason == "needs a run with --intervene excursion@STEP+MORE"
+    assert found["number"].reason == "needs runs of other numbers of environments"
     assert verdict_of(list(found.values())) == "no question of gsb-probe has the runs that it compares"
 
 
@@ -266,7 +266,7 @@ def test_at_different_origins(tmp_path: Path) -> None:
     (arms,) = arms_of([_write(tmp_path, arm, origins=origins) for arm in (ARMS[1], ARMS[5], ARMS[6])])
     found = {finding.key: finding for finding in answers(arms)}
     assert found["slot"].answer is Answer.NOT_ASKED
-    assert "they stand at different origins" in found["slot"].why
+    assert "they stand at different origins" in found["slot"].reason
     assert found["neighbours"].answer is Answer.YES
 
 

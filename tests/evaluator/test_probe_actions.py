@@ -77,7 +77,7 @@ def test_actions_go_along(sound: dict[str, Recording]) -> None:
     for key in ("slot", "bystanders", "fresh"):
         assert found[key].answer is Answer.YES, found[key]
     assert found["envs"].answer is Answer.NOT_ASKED
-    assert found["envs"].why == "the environments were given different actions, so they differ by design"
+    assert found["envs"].reason == "the environments were given different actions, so they differ by design"
     (name,) = sound["usual"].action_names
     usual, shifted, reset = (sound[arm].actions(name) for arm in ("usual", "shifted", "reset"))
     assert np.array_equal(shifted, np.roll(usual, -1, axis=1))

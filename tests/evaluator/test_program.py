@@ -285,9 +285,9 @@ def test_sets_of_runs_are_compared_by_their_arrays(tmp_path: Path) -> None:
     finding = compared(tmp_path, base, head)
     assert (finding["change"], finding["said"]["head"]) == ("changed", "gradient differs from update 2 on")
     finding = compared(tmp_path, base[:1], head[:1])
-    assert finding["why_not"].startswith("gradient differs from update 2 on, but runs of one side may differ")
+    assert finding["missing"].startswith("gradient differs from update 2 on, but runs of one side may differ")
     finding = compared(tmp_path, [base[0], head[1]], same)
-    assert finding["why_not"] == "runs of base differ from each other: gradient differs from update 2 on"
+    assert finding["missing"] == "runs of base differ from each other: gradient differs from update 2 on"
 
 
 @pytest.mark.parametrize(

@@ -368,7 +368,7 @@ def test_an_audit_without_a_replay(
         recorded, command.replace("{python}", sys.executable), *options, code=ExitCode.NOTHING_COMPARABLE
     )
     assert audit["outcome"] == outcome
-    assert reason in audit["why_not"]
+    assert reason in audit["level_missing"]
 
 
 @pytest.mark.parametrize("wrong", [("--command", "'a"), ("--command", " "), ("--command", "a", "--option", "x=1")])

@@ -45,7 +45,7 @@ def test_shorter_recordings(small_set: list[Path]) -> None:
 def test_a_time_that_is_named(small_set: list[Path]) -> None:
     """Keep to the user's time, even if no recording has it."""
     (group,) = json.loads(call("gsb-eval", *small_set, "--json", "-", "--sample-time", 5).stdout)["groups"]
-    assert "step 500 (5 s) was not recorded" in group["metrics"]["w1_run_to_run"]["why_not"]
+    assert "step 500 (5 s) was not recorded" in group["metrics"]["w1_run_to_run"]["value_missing"]
 
 
 def test_one_that_is_long_enough(small_set: list[Path]) -> None:

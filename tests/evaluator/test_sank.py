@@ -93,7 +93,7 @@ def test_cubes_through_the_floor(tmp_path: Path, scene: str, left: float | None)
     found = sank(path)
     assert found.value == 1.5
     assert found.details.record() == {
-        "total": 3, "of": 54, "cubes": 27, "per_run": (3,), "last_step": 6, "first_step": 3
+        "total": 3, "of": 54, "cubes": 27, "per_run": [3], "last_step": 6, "first_step": 3
     }  # fmt: skip
     (result,) = evaluate_files([path]).results
     assert "bodies through the floor: 1.5 of 27 per env by step 6, the first at step 3" in result.notes

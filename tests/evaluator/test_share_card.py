@@ -90,7 +90,7 @@ def test_the_card_says_what_the_recordings_say(made: Path, small_set: list[Path]
 def test_the_manifest_names_every_file(made: Path) -> None:
     """Give each recording its hash, its run, its group and what the rules say; paths with /."""
     manifest = json.loads((made / "manifest.json").read_text())
-    assert manifest["schema_version"] == 1
+    assert manifest["schema_version"] == 2
     assert manifest["written_by"]["gpusimbench"]
     paths = [file["path"] for file in manifest["files"]]
     assert paths == sorted(paths)

@@ -147,7 +147,7 @@ def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
     write(runs, good, simulator="control", elapsed_s=0.1, steps=500, dt=0.01, switches={"instrument": True})
     found = {row["simulator"]: row for row in rows(made(tmp_path, runs)).values()}
     assert found["good"]["place"] == 1
-    why = {name: row["no_place"] for name, row in found.items() if row["place"] is None}
+    why = {name: row["place_missing"] for name, row in found.items() if row["place"] is None}
     assert "1 of 2 runs INVALID: buffer overflow" in why["invalid"]
     assert "integrity-1" in why["unsaid"]
     assert "no memory" in why["failed"]
@@ -191,7 +191,7 @@ def test_rules_that_are_not_met_are_said_in_words(runs: Path, tmp_path: Path) ->
     write(runs, grid(2), timed_steps=7)
     write(runs, grid(2), simulator="unproven", timed_steps=7, proven=False, warmup=100)
     document = made(tmp_path, runs, code=ExitCode.NOTHING_COMPARABLE)
-    reasons = {row["simulator"]: row["no_place"] for row in rows(document).values()}
+    reasons = {row["simulator"]: row["place_missing"] for row in rows(document).values()}
     assert reasons["synthetic"] == "protocol-2 not met: fewer than 100 timed steps have clocks"
     assert "clocks; contacts are not counted" in reasons["unproven"]
     page = (tmp_path / "board" / "index.html").read_text()
@@ -220,7 +220,7 @@ def test_copies_count_once(runs: Path, tmp_path: Path) -> None:
     assert main(["pack", str(path), "--out", str(runs / "packed")]) == 0
     (row,) = rows(made(tmp_path, runs, path)).values()
     assert len(row["recordings"]) == 1
-    assert row["runs"]["complete"] == 1
+    assert row["outcomes"]["complete"] == 1
 
 
 def replay(folder: Path, original: Path, final: Any, **keywords: Any) -> Path:
@@ -284,7 +284,7 @@ def test_nobody_takes_the_place_of_a_run(runs: Path, tmp_path: Path) -> None:
     document = made(tmp_path, runs, code=3)
     assert [row["simulator"] for row in rows(document).values()] == ["other"]
     assert [Path(one["file"]).name for one in document["unreadable"]] == ["a.mcap", "b.mcap"]
-    assert all("neither counts" in one["why"] for one in document["unreadable"])
+    assert all("neither counts" in one["reason"] for one in document["unreadable"])
 
 
 def test_what_an_audit_wrote_does_not_count(runs: Path, tmp_path: Path) -> None:
@@ -292,7 +292,7 @@ def test_what_an_audit_wrote_does_not_count(runs: Path, tmp_path: Path) -> None:
     path = write(runs, grid(2))
     before = made(tmp_path, runs)
     (runs / "audit.json").write_text(
-        json.dumps({"schema_version": 1, "audits": [{"originals": [{"content_hash": Recording(path).content_hash}],
+        json.dumps({"schema_version": 2, "audits": [{"originals": [{"content_hash": Recording(path).content_hash}],
                                                      "level": "bit-identical", "meets_requirement": True}]})
     )  # fmt: skip
     assert made(tmp_path, runs) == before

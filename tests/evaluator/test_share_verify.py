@@ -284,7 +284,7 @@ def test_addresses_of_files(base: str, expected: str) -> None:
 def _manifest(**changed: Any) -> dict[str, Any]:
     digest = "0" * 64
     return {
-        "schema_version": 1, "kind": "gpusimbench set of recordings", "title": "t", "licence": "MIT",
+        "schema_version": 2, "kind": "gpusimbench set of recordings", "title": "t", "licence": "MIT",
         "sample_time_s": 5.0, "content_sha256": digest, "rules": "integrity-1", "written_by": {},
         "files": [{"path": "a.mcap", "bytes": 1, "sha256": digest}], "written": [],
         **changed,
@@ -324,7 +324,8 @@ HOSTILE = {
     "many": _manifest(files=_file("a")["files"] * 20_001),
     "time": _manifest(sample_time_s=1e300),
     "no time": _manifest(sample_time_s=0),
-    "other version": _manifest(schema_version=2),
+    "other version": _manifest(schema_version=3),
+    "older version": _manifest(schema_version=1),
     "other kind": _manifest(kind="something"),
     "recording": _file("a.mcap", recording=[]),
     "outcome": _file(

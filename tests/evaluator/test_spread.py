@@ -77,7 +77,7 @@ def test_rate_is_found(tmp_path: Path) -> None:
     assert found.fit is not None
     assert found.fit.rate == pytest.approx(RATE, rel=0.01)
     assert found.fit.r_squared > 0.99
-    inside = [d for d, t in zip(found.largest, found.times, strict=True) if found.fit.begin <= t <= found.fit.end]
+    inside = [d for d, t in zip(found.largest, found.times, strict=True) if found.fit.begin_s <= t <= found.fit.end_s]
     assert all(d is not None and d < 1e-3 for d in inside)
     assert pickle.loads(pickle.dumps(found)) == found
 

@@ -313,7 +313,7 @@ def test_groups_far_apart_and_exploded(gsb_eval: Command, tmp_path: Path) -> Non
     gsb_eval(*tmp_path.glob("*.mcap"), "--html", tmp_path / "report", "--json", tmp_path / "r.json", code=0)
     groups = {g["simulator"]: g["metrics"] for g in json.loads((tmp_path / "r.json").read_text())["groups"]}
     assert groups["here"]["w1_parallel"]["value"] == groups["there"]["w1_parallel"]["value"] == 0
-    assert "blew up" in groups["wild"]["w1_parallel"]["why_not"]
+    assert "blew up" in groups["wild"]["w1_parallel"]["value_missing"]
     assert "off the map" in (tmp_path / "report" / "index.html").read_text()
 
 
@@ -324,7 +324,7 @@ def test_trials_measured_at_another_time(gsb_record: Command, gsb_eval: Command,
     made = gsb_record("--sim", "real", "--trials", tmp_path / "t.csv", "--unit", "m", "--out", tmp_path)
     simulated = write_recording(tmp_path, grid(1))
     document = metrics_of(gsb_eval(simulated, made.stdout.strip(), "--sample-time", 4, "--json", "-").stdout)
-    assert "measured at 5 s, not at 4 s" in document["w1_real"]["why_not"]
+    assert "measured at 5 s, not at 4 s" in document["w1_real"]["value_missing"]
     alone = gsb_eval(made.stdout.strip(), code=5)
     assert "only real trials" in alone.stderr
 
@@ -344,7 +344,7 @@ def test_many_points_that_few_moved_of(gsb_eval: Command, tmp_path: Path) -> Non
     found = metrics_of(gsb_eval(*files, "--json", "-").stdout)
     assert found["w1_run_to_run"]["value"] == pytest.approx(2**0.5 / 800)
     assert found["w1_run_to_run"]["exactness"] == "exact"
-    assert "too many for a permutation" in found["w1_run_to_run"]["extra"]["floor"]["why_not"]
+    assert "too many for a permutation" in found["w1_run_to_run"]["extra"]["permutation_test"]["w1_missing"]
 
 
 def test_identical_runs_claim_no_interval(gsb_eval: Command, tmp_path: Path) -> None:
@@ -353,7 +353,7 @@ def test_identical_runs_claim_no_interval(gsb_eval: Command, tmp_path: Path) -> 
     found = metrics_of(gsb_eval(*files, "--json", "-").stdout)
     for name in ("w1_parallel", "w1_run_to_run"):
         assert found[name]["ci95"] is None
-        assert found[name]["extra"]["interval_why_not"] == "no spread in 4 runs"
+        assert found[name]["ci95_missing"] == "no spread in 4 runs"
 
 
 def test_a_recording_that_grows_while_it_is_read(tmp_path: Path) -> None:

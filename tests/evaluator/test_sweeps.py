@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.metrics.radar import Axis
+from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.html import render_html
@@ -162,8 +163,7 @@ def test_no_memory_model(tmp_path: Path, sizes: tuple[int, ...], keywords: dict[
     for n_env in sizes:
         write_recording(tmp_path, None, n_env=n_env, **{"gpu_bytes": (10**9, 2 * 10**9), **keywords})
     sweep = only(tmp_path)
-    assert sweep.models == {}
-    assert why in sweep.no_model[sweep.memory]
+    assert why in why_missing(sweep.models[sweep.memory])
 
 
 def test_a_long_sweep_is_one_table(tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_json_of_a_sweep(tmp_path: Path, gsb_eval: Command) -> None:
     files = write_sweep(tmp_path, SIZES, fails=256, speed=5e4)
     done = gsb_eval(*files, "--json", "-", code=0)
     (sweep,) = json.loads(done.stdout)["sweeps"]
-    assert (sweep["n_max"], sweep["simulator"], len(sweep["points"])) == (64, "synthetic", 5)
+    assert (sweep["n_env_max"], sweep["simulator"], len(sweep["points"])) == (64, "synthetic", 5)
     assert sweep["points"][1]["fps"] == pytest.approx(5e4)
     assert sweep["points"][-1]["failures"] == [
         {"status": "failed", "cause": "device memory", "reason": "no memory for the contacts"}
@@ -243,7 +243,7 @@ def test_radar_without_a_shared_sweep(tmp_path: Path) -> None:
     comparison = evaluated(tmp_path).comparison
     assert [c.figures.n_max for c in comparison.contenders] == [None, None]
     assert {c.figures.name for c in comparison.contenders} == {"swept [n_env=4]", "single"}
-    assert "needs a sweep" in comparison.contenders[0].why_not[Axis.PARALLELISM]
+    assert "needs a sweep" in why_missing(comparison.contenders[0].metrics[Axis.PARALLELISM])
     assert "needs a sweep" in render_html(evaluated(tmp_path), published=False, command="")
 
 
@@ -257,7 +257,7 @@ def test_guidelines_of_a_robot(tmp_path: Path) -> None:
     comparison = evaluated(tmp_path).comparison
     picks = {g.need: g.pick for g in comparison.guidelines}
     assert picks["large parallelism with articulated robots"] == "other"
-    assert picks["large parallelism with simple agents"] is None
+    assert not picks["large parallelism with simple agents"]
 
 
 def test_a_real_sweep(tmp_path: Path, gsb_record: Command) -> None:

@@ -34,7 +34,7 @@ def test_environments_of_a_task_are_not_meant_to_be_alike(tmp_path: Path, gsb_pr
     (arms,) = arms_of(list(map(open_recording, paths)))
     found = {finding.key: finding for finding in answers(arms)}["envs"]
     assert found.answer is Answer.NOT_ASKED
-    assert found.why == "seeds and actions of environments differ by design"
+    assert found.reason == "seeds and actions of environments differ by design"
     assert "gsb-diff A B compares the environments" in gsb_probe(*paths, code=5).stderr
 
 

@@ -57,7 +57,7 @@ def test_matrices_name_the_runs_that_are_in_them(tmp_path: Path) -> None:
     files = [write_recording(tmp_path, grid(2), run=0, steps=3)]
     files += [write_recording(tmp_path, moved(y), run=run) for run, y in enumerate((0.0, 0.03), start=1)]
     metrics = evaluate_files(files).results[0].metrics
-    assert metrics["w1_run_to_run"].of(BetweenRuns).runs == (1, 2)
+    assert metrics["w1_run_to_run"].of(BetweenRuns).run_indices == (1, 2)
     assert metrics["w1_run_to_run"].of(BetweenRuns).classes == (0, 1)
     assert metrics["w1_parallel"].of(BetweenEnvs).matrix_of == 1
 

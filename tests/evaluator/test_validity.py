@@ -69,7 +69,7 @@ def test_counts_of_a_real_set(small_set: list[Path]) -> None:
     assert recording.overflows == {}  # MuJoCo C has no such bits
     counted = only(*small_set).validity.of("constraint_rows")
     assert counted is not None
-    assert (counted.phase, counted.rows, counted.runs) == ("capture", 300, 3)
+    assert (counted.phase, counted.rows, counted.n_run) == ("capture", 300, 3)
     assert counted.mean == pytest.approx(recording.counts["capture"]["constraint_rows"].mean.mean())
     assert {"build", "compile_timed", "compile_capture"} <= set(recording.timing)
 
@@ -80,7 +80,7 @@ def test_actions_of_a_real_run(tmp_path: Path, gsb_record: Command) -> None:
     gsb_record("--sim", "mujoco", "--scene", "franka", *small, "--out", tmp_path, code=0)
     found = {a.phase: a for a in only(*tmp_path.glob("*.mcap")).validity.actions}
     assert set(found) == {"timed", "capture"}
-    assert (found["timed"].verified, found["timed"].runs, len(found["timed"].sha256)) == (2, 2, 1)
+    assert (found["timed"].verified, found["timed"].n_run, len(found["timed"].sha256)) == (2, 2, 1)
     assert json.loads(found["capture"].generators[0])["seed"] == 0
 
 
@@ -98,7 +98,7 @@ def test_the_definitions(tmp_path: Path) -> None:
     assert contacts.max == 20
     timed = found.of("contacts", "timed")
     assert timed is not None
-    assert (timed.mean, timed.max, timed.runs) == (2, 3, 1)
+    assert (timed.mean, timed.max, timed.n_run) == (2, 3, 1)
     assert found.of("solver_iterations") is None
 
 
@@ -143,7 +143,7 @@ def test_overflow_is_described(tmp_path: Path) -> None:
     )
     assert result.validity.overflow is not None
     (seen,) = result.validity.overflow
-    assert (seen.name, seen.fatal, seen.rows, seen.envs, seen.runs) == ("ITERATIONS", False, 7, 1, 2)
+    assert (seen.name, seen.fatal, seen.rows, seen.envs, seen.n_run) == ("ITERATIONS", False, 7, 1, 2)
     assert (seen.phase, seen.first_step, seen.spread) == ("capture", 2, False)
     assert len(result.group.complete) == 2  # nothing was dropped
     quiet = only(write_recording(tmp_path, grid(2), shown=Shown(overflow={"capture": overflowing(5, 6, 1)}, bits=BITS)))
@@ -179,7 +179,7 @@ def test_an_invalid_run_enters_no_mean_and_is_seen_everywhere(tmp_path: Path) ->
     assert "NEFC overflowed: contacts were dropped" in printed
     document = to_json(evaluation)
     (group,) = document["groups"]
-    assert group["runs"] == {"complete": 2, "invalid": 1, "failed": 0, "incomplete": 0, "lost data": 0}
+    assert group["outcomes"] == {"complete": 2, "invalid": 1, "failed": 0, "incomplete": 0, "lost data": 0}
     assert group["validity"]["overflow"][0]["fatal"] is True
     assert [r["cause"] for r in document["recordings"]] == ["", "", "buffer"]
     page = render_html(evaluation, published=False, command="")
@@ -216,7 +216,7 @@ def test_different_actions_are_noted(tmp_path: Path) -> None:
         files.append(write_recording(tmp_path, grid(2), run=run, shown=Shown(streams={"capture": message})))
     result = only(*files)
     (applied,) = result.validity.actions
-    assert (applied.verified, applied.runs, len(applied.sha256)) == (1, 2, 2)
+    assert (applied.verified, applied.n_run, len(applied.sha256)) == (1, 2, 2)
     assert any("different actions" in note for note in result.notes)
 
 

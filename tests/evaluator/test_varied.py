@@ -117,7 +117,7 @@ def test_evaluated(varied: tuple[Path, ...], gsb_eval: Command) -> None:
     (group,) = json.loads(done.stdout)["groups"]
     assert group["vary"] == VARY
     assert group["metrics"]["distinct_runs"]["value"] == 1
-    assert group["metrics"]["distinct_envs"]["why_not"] == f"environments differ by --vary {VARY}"
+    assert group["metrics"]["distinct_envs"]["value_missing"] == f"environments differ by --vary {VARY}"
     assert "not compared: environments differ by --vary" in " ".join(gsb_eval(*varied[:2]).stdout.split())
 
 
@@ -177,7 +177,7 @@ def test_probed(arms: Path) -> None:
     answers = {answer["key"]: answer for answer in probe["answers"]}
     assert probe["vary"] == VARY
     assert answers["envs"]["answer"] == Answer.NOT_ASKED
-    assert answers["envs"]["why"] == f"environments differ by --vary {VARY}"
+    assert answers["envs"]["reason"] == f"environments differ by --vary {VARY}"
     for key in (
         "runs",
         "capture",

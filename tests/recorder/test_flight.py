@@ -225,7 +225,7 @@ def test_metrics_are_missing(tmp_path: Path) -> None:
     kept = _record(tmp_path, *_RUN, "--n-env", "2", "--steps", "500", "--keep", "failing", exit_code=0)
     call("gsb-eval", kept, "--json", tmp_path / "eval.json", code=0)
     (group,) = json.loads((tmp_path / "eval.json").read_text())["groups"]
-    assert group["metrics"]["w1_parallel"]["why_not"] == ONLY_FAILING
+    assert group["metrics"]["w1_parallel"]["value_missing"] == ONLY_FAILING
 
 
 def test_replay(spread: tuple[Path, Path], tmp_path: Path) -> None:

@@ -242,5 +242,5 @@ def test_a_recording_of_the_arm(gsb_record: Command, gsb_eval: Command, tmp_path
     changed = group["metrics"]["capture_changes_states"]
     assert (changed["value"], changed["n"]) == (0, 2), "the timed phase had the same actions"
     assert "no positions of free bodies were recorded" in evaluated.stdout
-    why = group["metrics"]["distinct_envs"]["why_not"]
+    why = group["metrics"]["distinct_envs"]["value_missing"]
     assert why.startswith("the environments were given different actions")

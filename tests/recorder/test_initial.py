@@ -169,7 +169,7 @@ def test_what_is_evaluated(recorded: tuple[Path, Path], gsb_eval: Command, tmp_p
     assert apart["metrics"]["distinct_runs"]["value"] == 1
     assert alike["metrics"]["distinct_envs"]["value"] == 1
     for name in ("distinct_envs", "w1_parallel", "equality_envs", "divergence_rate"):
-        assert "began in different states" in apart["metrics"][name]["why_not"]
+        assert "began in different states" in apart["metrics"][name]["value_missing"]
 
 
 @pytest.mark.parametrize(

@@ -213,5 +213,5 @@ def test_a_recording_in_the_wrong_unit_is_no_reference(
     done = gsb_eval(write_recording(tmp_path, grid(2)), path, "--json", "-")
     metric = metrics_of(done.stdout)["w1_real"]
     assert metric["value"] is None
-    assert "cannot be used: trial t0 (and 1 more of 2): half of its bodies lie 31 m" in metric["why_not"]
-    assert "cm would fit" in metric["why_not"]
+    assert "cannot be used: trial t0 (and 1 more of 2): half of its bodies lie 31 m" in metric["value_missing"]
+    assert "cm would fit" in metric["value_missing"]

@@ -86,7 +86,7 @@ class Curve:
     visible  how far from the newest level one more point would have to lie to be marked, about: a factor above 1 where
              logarithms are compared, else an amount in the unit; None where that cannot be told
     sighted  the same of the newest point itself: how far it would have had to lie from those before it
-    why_not  why no change is searched; empty where one is
+    changes_missing  why no change is searched; empty where one is
     """
 
     metric: Metric
@@ -97,7 +97,7 @@ class Curve:
     shifts: tuple[Shift, ...] = ()
     visible: float | None = None
     sighted: float | None = None
-    why_not: str = ""
+    changes_missing: str = ""
 
     @property
     def known(self) -> list[Sample]:
@@ -113,12 +113,12 @@ class Curve:
     def tested(self) -> bool:
         """Whether changes are searched by a test, which can raise a false alarm."""
         found = self.known
-        return not self.why_not and not self.exact and len({sample.center for sample in found}) > 1
+        return not self.changes_missing and not self.exact and len({sample.center for sample in found}) > 1
 
     def undecided(self, newest: int, settings: Settings) -> str:
         """Why it does not say whether the newest point changed by as much as matters; empty where it does."""
-        if self.why_not:
-            return self.why_not
+        if self.changes_missing:
+            return self.changes_missing
         if self.known[-1].point != newest:
             return "the newest point has no value"
         if not self.tested or self.shifts and self.shifts[-1].point == newest:
@@ -147,7 +147,7 @@ def searched(curve: Curve, level: float, settings: Settings) -> Curve:
 
     level  chance of a false alarm that this curve may take
     """
-    if curve.why_not:
+    if curve.changes_missing:
         return curve
     found = curve.known
     centers = [sample.center for sample in found]
@@ -183,10 +183,10 @@ def _curve(metric: Metric, axis: Axis, entries: Sequence[Entry]) -> Curve | None
     exact = metric.values is not None and all(s.alike for s in samples if not isinstance(s.value, Missing))
     curve = Curve(metric, axis, samples, logs, exact)
     if not all(value == 0 or 1 / _MOST < value < _MOST for value in flat):
-        return replace(curve, why_not="a run has a value that is negative, not finite or too large")
+        return replace(curve, changes_missing="a run has a value that is negative, not finite or too large")
     count = len(curve.known)
     if count < 2 or count < MIN_POINTS and not exact:
-        return replace(curve, why_not=f"{count} point{'s have' if count > 1 else ' has'} a value: too few")
+        return replace(curve, changes_missing=f"{count} point{'s have' if count > 1 else ' has'} a value: too few")
     return curve
 
 
@@ -211,7 +211,7 @@ def _sample(metric: Metric, entry: Entry, values: Sequence[float], *, logs: bool
     center = float(scale[0] + middle(scale - scale[0]))
     n = len(values) if metric.values else estimate.n
     alike = len(values) > 1 and np.ptp(array) == 0.0
-    return Sample(entry.point, float(estimate.value), estimate.ci95, n, center, bool(alike))
+    return Sample(entry.point, float(estimate.value), estimate.ci95 or None, n, center, bool(alike))
 
 
 def _fact(curve: Curve, index: int, settings: Settings) -> Shift:

@@ -175,7 +175,7 @@ def _quantities(one: Traced, key: str, history: History) -> Table:
             _value(curve.known[0] if curve.known else None, curve),
             _value(curve.known[-1] if curve.known else None, curve),
             _shifts(curve, history),
-            curve.why_not or (words.visible(curve) or NONE if curve.tested else "any"),
+            curve.changes_missing or (words.visible(curve) or NONE if curve.tested else "any"),
         ]
         for curve in one.curves
     ]

@@ -8,20 +8,15 @@ from gpusimbench.evaluator.compare.history.curves import Curve, Sample, Shift
 from gpusimbench.evaluator.compare.history.history import Fact, History, Traced
 from gpusimbench.evaluator.compare.history.series import ORDER
 from gpusimbench.evaluator.compare.history.words import headline
-from gpusimbench.evaluator.json_values import dump, picked, values_of
-from gpusimbench.evaluator.missing import why_missing
+from gpusimbench.evaluator.json_values import document_of, dump, picked, values_of
 from gpusimbench.evaluator.results.metric import Axis
-
-SCHEMA_VERSION = 1
-"""Version of the JSON that ``gsb-compare --history DIR --json`` prints."""
 
 
 def dump_json(history: History) -> str:
     """The document as text."""
     settings = history.settings
     return dump(
-        {
-            "schema_version": SCHEMA_VERSION,
+        document_of({
             "verdict": headline(history),
             "exit_code": int(history.exit_code),
             "order": ORDER,
@@ -35,7 +30,7 @@ def dump_json(history: History) -> str:
                     "label": point.label,
                     "begins_utc": point.begins or None,
                     "recordings": len(point.runs),
-                    "unreadable": [{"path": values_of(u.path), "error": str(u.error)} for u in point.unreadable],
+                    "unreadable": [{"path": values_of(u.path), "reason": str(u.error)} for u in point.unreadable],
                 }
                 for point in history.points
             ],
@@ -46,13 +41,13 @@ def dump_json(history: History) -> str:
                     "device": one.series.device,
                     "axis": axis.value,
                     "title": title,
-                    "why": why,
+                    "reason": why,
                 }
                 for one, axis, title, why in history.undecided
             ],
             "notes": list(history.notes),
-        }
-    )
+        })
+    )  # fmt: skip
 
 
 def _configuration(one: Traced, history: History) -> dict[str, Any]:
@@ -83,16 +78,14 @@ def _curve(curve: Curve, history: History) -> dict[str, Any]:
         "scale": "logarithm" if curve.logs else "value",
         "exact": curve.exact,
         "smallest_visible": curve.visible,
-        "why_not": curve.why_not or None,
+        "changes_missing": curve.changes_missing,
         "points": [_sample(sample) for sample in curve.samples],
         "changes": [_shift(shift, curve, history) for shift in curve.shifts],
     }
 
 
 def _sample(sample: Sample) -> dict[str, Any]:
-    why_not = why_missing(sample.value) or None
-    record = {**picked(sample, "point value"), "why_not": why_not, **picked(sample, "ci95 n")}
-    return {**record, "ci95": None} if why_not else record
+    return picked(sample, "point value ci95 n")
 
 
 def _shift(shift: Shift, curve: Curve, history: History) -> dict[str, Any]:

@@ -147,7 +147,7 @@ def _broken(points: Sequence[tuple[float, float] | None]) -> str:
 
 
 def _window(fit: GrowthFit, x: Scale) -> list[str]:
-    begin, end = x(fit.begin), x(fit.end)
+    begin, end = x(fit.begin_s), x(fit.end_s)
     return [element("rect", x=begin, y=_TOP, width=max(end - begin, 1.0), height=_FLOOR - _TOP, class_="board")]
 
 
@@ -156,10 +156,10 @@ def _fit(curve: Curve, x: Scale, y: Scale) -> str:
     fit = curve.fit
     if fit is None:
         return ""
-    inside = (curve.times >= fit.begin) & (curve.times <= fit.end) & (curve.largest > 0)
+    inside = (curve.times >= fit.begin_s) & (curve.times <= fit.end_s) & (curve.largest > 0)
     t, logs = curve.times[inside], np.log(curve.largest[inside])
-    ends = [(x(at), y(math.exp(float(logs.mean() + fit.rate * (at - t.mean()))))) for at in (fit.begin, fit.end)]
-    said = f"fit of {curve.label}: {fit.rate:.3g} per s, from {fit.begin:g} to {fit.end:g} s"
+    ends = [(x(at), y(math.exp(float(logs.mean() + fit.rate * (at - t.mean()))))) for at in (fit.begin_s, fit.end_s)]
+    said = f"fit of {curve.label}: {fit.rate:.3g} per s, from {fit.begin_s:g} to {fit.end_s:g} s"
     return element("path", title(said), d=_broken(ends), class_="fit")
 
 

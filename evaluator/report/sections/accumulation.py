@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Section, Text, key_of, table
 from gpusimbench.evaluator.render.numbers import NONE, distance
 from gpusimbench.evaluator.report.source import Source
@@ -60,7 +61,8 @@ def remarks(found: Accumulation) -> list[str]:
         f"each run reduced to {envs}, mean of {found.draws} draws with seed {found.seed}; in brackets 95 % over runs",
         "distances of all environments fall with their number, as their floor does, and are not to be compared",
     ]
-    return [*lines, *dict.fromkeys(f"N = {p.n_env:,}, all envs: {p.no_raw}" for p in found.points if p.no_raw)]
+    too_many = ((p.n_env, p.raw.reason) for p in found.points if isinstance(p.raw, Missing))
+    return [*lines, *dict.fromkeys(f"N = {n_env:,}, all envs: {reason}" for n_env, reason in too_many)]
 
 
 def _cells(found: Variability) -> tuple[str, str]:

@@ -48,7 +48,7 @@ def _cells(law: Law) -> tuple[Cell, ...]:
     verdict = Cell("held", tone=Tone.GOOD) if law.held else Cell("BROKEN", tone=Tone.BAD)
     difference, predicted = Cell(NONE), Cell(NONE)
     if law.difference is None or law.predicted is None:
-        verdict = Cell("no verdict", notes=(law.unjudged,), tone=Tone.QUIET)
+        verdict = Cell("no verdict", notes=(law.held_missing,), tone=Tone.QUIET)
         value = Cell(f"{law.measured:.5g} {interval}".rstrip(), law.measured, notes=(f"sd {law.spread:.2g}",))
     else:
         difference = Cell(f"{law.difference:.3g} {interval}".rstrip(), law.difference)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from markupsafe import Markup
 
 from gpusimbench.evaluator.metrics.radar import Axis, Radar
+from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.document import (
     Block,
@@ -61,7 +62,7 @@ def _radar_figure(contenders: Sequence[Contender], radar: Radar) -> Figure:
     """The radar with the values that it scales; without a drawing where outlines could not be told apart."""
     rows = [
         (c.figures.name, _axis_title(axis), value, _axis_unit(axis), radar.values[c.figures.name][axis],
-         c.why_not.get(axis, "") if value is None else "")
+         why_missing(c.metrics.get(axis)) if value is None else "")
         for c in contenders for axis, value in c.figures.axis_values().items()
     ]  # fmt: skip
     titles = ("group", "axis", "value", "unit", "scaled: 1 is the best of these, 0 the worst", "why there is no value")
@@ -152,7 +153,7 @@ def _values(contenders: Sequence[Contender], of: Radar) -> Table:
         for axis, shown in axes:
             value = values[axis]
             if value is None:
-                cells.append(reasons.cell(contender.why_not.get(axis, "it was not measured")))
+                cells.append(reasons.cell(why_missing(contender.metrics.get(axis)) or "it was not measured"))
                 continue
             text = numbers.figure(value, shown.unit) if shown else f"{contender.figures.n_max:,}"
             cells.append(Cell(text, float(value), notes=(f"({of.values[contender.figures.name][axis]:.2f})",)))

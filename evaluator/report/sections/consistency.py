@@ -83,7 +83,7 @@ def _distances(result: GroupResult) -> tuple[NDArray[np.float64] | None, NDArray
 
 def _why_no_matrix(result: GroupResult, name: str) -> str:
     metric = result.metrics[name]
-    return why_missing(metric.value) or metric.of(BetweenEnvs).no_matrix or "it was not computed"
+    return why_missing(metric.value) or why_missing(metric.of(BetweenEnvs).matrix_of) or "it was not computed"
 
 
 def _envs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Figure:
@@ -98,7 +98,7 @@ def _envs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Figure:
 def _runs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Figure:
     distinct, between = result.metrics["distinct_runs"].value, result.metrics["w1_run_to_run"].of(BetweenRuns)
     classes = () if isinstance(distinct, Missing) else between.classes or ()
-    why_not, names = why_missing(distinct), between.runs or ()
+    why_not, names = why_missing(distinct), between.run_indices or ()
     return _matrix(result, between.matrix_cm, "run", "w1_run_to_run", classes, why_not, names, key, scale)
 
 

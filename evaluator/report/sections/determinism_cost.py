@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.document import (
-    EMPTY,
     Block,
     Cell,
     Column,
@@ -94,11 +94,11 @@ def _bits(result: GroupResult, metric: Metric, reasons: Reasons) -> Cell:
 
 
 def _cost(found: Cost, reasons: Reasons) -> Cell:
-    if found.ratio is None:
-        return reasons.cell(found.why_not) if found.why_not else EMPTY
+    if isinstance(found.ratio, Missing):
+        return reasons.cell(found.ratio.reason)
     bounds = f"[{found.ci95[0]:.3g}, {found.ci95[1]:.3g}]" if found.ci95 else ""
-    notes = (SAME,) if found.undecided else (found.no_interval,) if not found.ci95 and found.no_interval else ()
-    return Cell(f"x {found.ratio:.3g}", found.ratio, found.ci95, bounds, notes)
+    notes = (SAME,) if found.undecided else (no_interval,) if (no_interval := why_missing(found.ci95)) else ()
+    return Cell(f"x {found.ratio:.3g}", found.ratio, found.ci95 or None, bounds, notes)
 
 
 def of_family(family: Family) -> list[GroupResult]:
@@ -115,14 +115,14 @@ def family_name(family: Family) -> str:
 
 def ratio(cost: Cost) -> str:
     """A cost with its interval, and whether it can be told apart from 1; a dash where there is none."""
-    if cost.ratio is None:
-        return "no effect here" if cost.why_not == NO_EFFECT else NONE
-    if cost.ci95 is None:
+    if isinstance(cost.ratio, Missing):
+        return "no effect here" if cost.ratio.reason == NO_EFFECT else NONE
+    if not cost.ci95:
         return f"{cost.ratio:.3g}"
     return f"{_brief(cost)}, {SAME}" if cost.undecided else _brief(cost)
 
 
 def _brief(cost: Cost) -> str:
-    if cost.ratio is None or cost.ci95 is None:
+    if isinstance(cost.ratio, Missing) or not cost.ci95:
         return ratio(cost)
     return f"{cost.ratio:.3g} [{cost.ci95[0]:.3g}, {cost.ci95[1]:.3g}]"

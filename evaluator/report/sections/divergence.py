@@ -236,7 +236,7 @@ def _said(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
         doubling = f", doubling in {one.doubling_time:.2g} s" if one.doubling_time else ""
         said.append(
             f"Dashed: the exponential through {fits[0].label}, {one.rate:.3g} per s{doubling}, fitted in the shaded "
-            f"window from {one.begin:g} to {one.end:g} s (R² {one.r_squared:.2f}, {one.points} points)."
+            f"window from {one.begin_s:g} to {one.end_s:g} s (R² {one.r_squared:.2f}, {one.points} points)."
         )
     elif points < chart.LINE_FROM:
         said.append(f"States were recorded at {plural(points, 'step')}: too few for a line, and for a growth rate.")
@@ -256,7 +256,7 @@ def _tree(result: GroupResult, of: str, key: str) -> Figure | None:
     if tree is None:
         why_not = why_missing(metric.value)
         return Figure(label, f"No tree: {why_not}.", None) if why_not else None
-    names = details.runs if isinstance(details, DistinctRuns) else range(len(details.classes[0]))
+    names = details.run_indices if isinstance(details, DistinctRuns) else range(len(details.classes[0]))
     dt = result.group.key.dt
     svg = tree_chart(tree, dt=dt, of=of, names=names, label=result.label)
     if not svg:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from markupsafe import Markup
 
 from gpusimbench.evaluator.metrics.radar import LOWER_IS_BETTER, Axis
-from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.document import Figure, Numbers
 from gpusimbench.evaluator.render.figures.axis import tick_label
 from gpusimbench.evaluator.render.figures.dot_plot import Dot, dot_plot, is_logarithmic
@@ -43,9 +43,8 @@ def _panels(contenders: tuple[Contender, ...]) -> Iterator[Figure]:
         for index, contender in enumerate(contenders):
             dot = _dot(index, contender, axis)
             if dot is None:
-                missing.setdefault(contender.why_not.get(axis, "it was not measured"), []).append(
-                    contender.figures.name
-                )
+                why = why_missing(contender.metrics.get(axis)) or "it was not measured"
+                missing.setdefault(why, []).append(contender.figures.name)
             else:
                 dots.append(dot)
         shown = on_radar(axis)
@@ -65,7 +64,7 @@ def _dot(index: int, contender: Contender, axis: Axis) -> Dot | None:
             return Dot(index, name, float(n_max), open=True, said=said)
         return Dot(index, name, float(n_max), float(n_max), float(following), said=said)
     metric = contender.metrics.get(axis)
-    if metric is None or isinstance(metric.value, Missing):
+    if not metric or isinstance(metric.value, Missing):
         return None
     low, high = metric.ci95 or (None, None)
     why_not = (
@@ -85,7 +84,7 @@ def _mechanics(contenders: tuple[Contender, ...]) -> Figure:
         name = _label(contender)
         found = contender.group.fidelity if contender.group else None
         if found is None or not found.rows:
-            why_not = found.why_not if found else "no group of it ran under the shared conditions"
+            why_not = found.checks_missing if found else "no group of it ran under the shared conditions"
             missing.setdefault(why_not, []).append(name)
             continue
         broken = found.of(Verdict.BROKEN)

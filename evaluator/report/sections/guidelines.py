@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gpusimbench.evaluator.metrics.guidelines import Guideline
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Cell, Section, Text, Tone, table
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.schemas.text import few, plural
@@ -38,8 +39,8 @@ def _need(one: Guideline) -> Cell:
 
 
 def _pick(one: Guideline) -> Cell:
-    if not one.pick:
-        return Cell("none", notes=(one.reason or "",), tone=Tone.QUIET)
+    if isinstance(one.pick, Missing):
+        return Cell("none", notes=(one.pick.reason,), tone=Tone.QUIET)
     following = (
         f"next: {one.runner_up}" if one.runner_up else f"no other {'is ranked' if one.unranked else 'qualifies'}"
     )

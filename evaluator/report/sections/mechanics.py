@@ -39,7 +39,7 @@ _TONES = {Verdict.HELD: Tone.GOOD, Verdict.BROKEN: Tone.BAD}
 
 def fidelity_record(one: Fidelity) -> dict[str, Any]:
     """One group's physics for JSON: every check by its key, with its verdict."""
-    of_group = "label scene runs n_env looked_at exactness why_not revision held checkable not_checkable"
+    of_group = "label scene n_run n_env looked_at exactness checks_missing revision held checkable not_checkable"
     return {**picked(one, of_group), "checks": {row.check.key: _check(row) for row in one.rows}}
 
 
@@ -47,7 +47,7 @@ def _check(row: FidelityRow) -> dict[str, Any]:
     record = {**picked(row.check, "title unit demanded"), **picked(row, "verdict reason")}
     if row.found is None:
         return record
-    values = {**picked(row.found, "mean least most"), "runs": row.runs}
+    values = {**picked(row.found, "mean least most"), "n_run": row.n_run}
     values |= {**picked(row.found, "count low high tolerance broken"), "of_runs": row.of_runs}
     return {**record, **values, "tolerance_formula": row.found.of, "notes": list(row.notes)}
 
@@ -60,8 +60,8 @@ def cells(row: FidelityRow) -> tuple[str, ...]:
     assert found is not None
     if found.broken:
         verdict += f" {found.broken} of {found.count}"
-    if row.runs < row.of_runs:
-        verdict += f", measured in {row.runs} of {plural(row.of_runs, 'run')}"
+    if row.n_run < row.of_runs:
+        verdict += f", measured in {row.n_run} of {plural(row.of_runs, 'run')}"
     spread = NONE if found.least == found.most else f"{number(found.least)} to {number(found.most)}"
     return row.check.title + unit, number(found.mean), spread, allowed(found), number(found.tolerance), verdict
 
@@ -109,8 +109,8 @@ def section(source: Source) -> Section | Missing | None:
     broken = [r for r in checked if r.fidelity.of(Verdict.BROKEN)]
     if not source.shown:
         return None
-    if all(r.fidelity.why_not for r in source.shown):
-        return without("Mechanics", (r.fidelity.why_not for r in source.shown))
+    if all(r.fidelity.checks_missing for r in source.shown):
+        return without("Mechanics", (r.fidelity.checks_missing for r in source.shown))
     ordered = sorted(source.shown, key=lambda r: r not in broken)
     said = "no group breaks a check" if checked else "no group could be checked"
     if broken:
@@ -129,11 +129,11 @@ def section(source: Source) -> Section | Missing | None:
 def held(result: GroupResult) -> Cell:
     """How many checks of a group hold, of those that could be made, and how many of all could not be made."""
     found = result.fidelity
-    if found.why_not:
-        return Cell("not applicable", notes=(found.why_not,), tone=Tone.QUIET)
+    if found.checks_missing:
+        return Cell("not applicable", notes=(found.checks_missing,), tone=Tone.QUIET)
     if not found.checkable:
         return Cell("none could be made", tone=Tone.QUIET)
-    looked = f"{found.looked_at} of {plural(found.n_env, 'env')}, {plural(found.runs, 'run')}"
+    looked = f"{found.looked_at} of {plural(found.n_env, 'env')}, {plural(found.n_run, 'run')}"
     notes = (f"{found.not_checkable} of {DEMANDED} not checkable", found.revision.value, looked)
     tone = Tone.BAD if found.held < found.checkable else Tone.GOOD
     return Cell(f"{found.held} of {found.checkable}", found.held / found.checkable, notes=notes, tone=tone)

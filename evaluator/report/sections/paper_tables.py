@@ -196,7 +196,7 @@ def _scaled(metric: Estimate | None, scale: float, decimals: int) -> Printed:
         return Printed(why_not=metric.value.reason)
     value = f"{metric.value * scale:.{decimals}f}"
     note = f"{metric.value * scale:.2g}" if float(value) == 0 else ""
-    if metric.ci95 is None:
+    if not metric.ci95:
         return Printed(value, _no_interval(metric), note)
     low, high = (f"{end * scale:.{decimals}f}" for end in metric.ci95)
     return Printed(value, f"[{low}, {high}]", note)

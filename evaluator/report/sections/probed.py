@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 
 from gpusimbench.evaluator.metrics.levels import MAX_ULP, TOLERANCE_M, Level
+from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.probe.arms import Arms, name_of
 from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
 from gpusimbench.evaluator.probe.pairs import Found
@@ -67,7 +68,7 @@ def _price(arms: Arms, prices: Sequence[Family]) -> str:
         own, key = price.result.group.recordings[0].configuration, arms.key
         same = (own.simulator, own.scene, own.options) == (key.simulator, key.scene, json.loads(key.options))
         if same and price.level == key.determinism and price.result.group.key.device == key.device:
-            said = price.speed.why_not or ratio(price.speed)
+            said = why_missing(price.speed.ratio) or ratio(price.speed)
             return (
                 f"Throughput with {plural(own.n_env, 'environment', spec=',')}, relative to the default level: {said}."
             )
@@ -99,8 +100,8 @@ def _compared(finding: Finding) -> Item:
 def evidence(finding: Finding) -> str:
     """What the answer stands on, in a few words."""
     if finding.found is None:
-        return finding.why
-    return "; ".join(filter(None, (_found(finding.found), finding.detail, finding.why)))
+        return finding.reason
+    return "; ".join(filter(None, (_found(finding.found), finding.detail, finding.reason)))
 
 
 def _found(found: Found) -> str:

@@ -173,7 +173,7 @@ def value(found: Estimate, reasons: Reasons, *notes: str, tone: Tone = Tone.PLAI
     bounds = numbers.interval(found)
     shown = "" if bounds == numbers.NONE else bounds
     said = tuple(note for note in notes if note and note != numbers.NONE)
-    return Cell(words.cell(found), float(found.value), found.ci95, shown, said, tone)
+    return Cell(words.cell(found), float(found.value), found.ci95 or None, shown, said, tone)
 
 
 def of_groups(

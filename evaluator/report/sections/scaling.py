@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
@@ -56,9 +57,9 @@ def sentence(sweep: Sweep) -> str:
     largest = "no run is complete"
     if sweep.n_max is not None:
         largest = f"most environments (N_env^max) {sweep.n_max:,}: {cut(sweep.ends, LONGEST_END)}"
-    model, why_not = sweep.models.get(sweep.memory), sweep.no_model.get(sweep.memory)
+    model = sweep.models.get(sweep.memory)
     memory = [f"memory = {words.model(model)} ({SOURCES[sweep.memory]})"] if model else []
-    memory += [f"no memory model: {why_not}"] if why_not else []
+    memory += [f"no memory model: {model.reason}"] if isinstance(model, Missing) else []
     return f"{sweep.label}, {sweep.key.scene}: {'; '.join([largest, *memory])}"
 
 
@@ -88,8 +89,10 @@ def _of_scene(found: SceneSweeps) -> Iterator[Block]:
 def _sweep(sweep: Sweep, found: SceneSweeps) -> Row:
     where = f"{sweep.key.version or 'no version'}; {sweep.key.device or 'no device'}"
     best = sweep.at_max
-    models = [f"{words.model(model)} ({SOURCES[name]})" for name, model in sweep.models.items()]
-    models += [f"no model: {why_not} ({SOURCES[name]})" for name, why_not in sweep.no_model.items()]
+    models = [
+        f"{f'no model: {model.reason}' if isinstance(model, Missing) else words.model(model)} ({SOURCES[name]})"
+        for name, model in sweep.models.items()
+    ]
     largest = (
         Cell(NONE, notes=("no run is complete",))
         if sweep.n_max is None

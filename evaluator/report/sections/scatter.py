@@ -97,7 +97,14 @@ def _point(result: GroupResult, index: int, name: str, distance: str, fault: str
     said = [result.label, *(f"{figure(_value(m), m.unit)} {m.unit} {interval(m) if m.ci95 else ''}".strip()
                             for m in (speed, far)), fault, *result.footnotes]  # fmt: skip
     return Point(
-        index, name, _value(speed), _value(far), speed.ci95, far.ci95, bool(fault), "; ".join(filter(None, said))
+        index,
+        name,
+        _value(speed),
+        _value(far),
+        speed.ci95 or None,
+        far.ci95 or None,
+        bool(fault),
+        "; ".join(filter(None, said)),
     )
 
 

@@ -122,7 +122,7 @@ def _counts(result: GroupResult) -> Cell:
     for name in dict.fromkeys(one.name for one in found):
         phases = "; ".join(f"{_three(one)} ({one.phase})" for one in found if one.name == name)
         lines.append(f"{_spaced(name)}: {phases}")
-    read = dict.fromkeys(f"{one.phase}: {plural(one.rows, 'step')} of {plural(one.runs, 'run')}" for one in found)
+    read = dict.fromkeys(f"{one.phase}: {plural(one.rows, 'step')} of {plural(one.n_run, 'run')}" for one in found)
     return _lines([*lines, *([f"counted in {'; '.join(read)}"] if read else [])], "nothing was counted")
 
 
@@ -180,7 +180,7 @@ def _overflow(result: GroupResult) -> Cell:
         return Cell(words.overflow(validity), tone=Tone.PLAIN if validity.overflow_told.holds else Tone.QUIET)
     lines = []
     for seen in validity.overflow:
-        where = f"in {plural(seen.runs, 'run')}, {seen.phase} phase first, at most {seen.envs} envs"
+        where = f"in {plural(seen.n_run, 'run')}, {seen.phase} phase first, at most {seen.envs} envs"
         lines += [words.fired(seen), where]
     tone = Tone.BAD if any(seen.fatal for seen in validity.overflow) else Tone.PLAIN
     return Cell(lines[0], notes=tuple(lines[1:]), tone=tone)
@@ -189,7 +189,7 @@ def _overflow(result: GroupResult) -> Cell:
 def _actions(result: GroupResult) -> Cell:
     lines = []
     for one in result.validity.actions:
-        lines.append(f"{one.phase}: verified in {one.verified} of {plural(one.runs, 'run')}")
+        lines.append(f"{one.phase}: verified in {one.verified} of {plural(one.n_run, 'run')}")
         if len(one.sha256) > 1:  # the runs were not given the same
             lines += [f"first step {first[:_HASH]}, last {last[:_HASH]}" for first, last in one.sha256]
     return _lines(lines, NONE)

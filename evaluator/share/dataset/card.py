@@ -173,7 +173,7 @@ def _legend(results: Sequence[GroupResult], sample_time: float) -> Facts:
         (
             "metrics.parquet",
             "a row for each metric of each group, with unit, interval and method; where there is no value, the column "
-            "why_not has the reason",
+            "value_missing has the reason",
         ),
         ("runs.parquet", "a row for each recording, with its content hash, status and machine"),
     ]

@@ -26,7 +26,8 @@ from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 
 MANIFEST = "manifest.json"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""Of the manifest, and of the columns of the tables that stand beside it."""
 KIND = "gpusimbench set of recordings"
 """By which a manifest is told from other files of that name."""
 
@@ -154,7 +155,7 @@ def load_manifest(data: bytes) -> Manifest:
     if record.get("schema_version") != SCHEMA_VERSION:
         raise DamagedRecording(
             f"{MANIFEST} has schema version {str(record.get('schema_version'))[:20]}, and {SCHEMA_VERSION} is known "
-            "here: use the version of gpusimbench that wrote it, or a later one"
+            "here: use the version of gpusimbench that wrote it, or make the set anew with this one"
         )
     try:
         manifest = Manifest(

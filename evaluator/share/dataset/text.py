@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from gpusimbench.evaluator.json_values import dump, picked
+from gpusimbench.evaluator.json_values import document_of, dump, picked
 from gpusimbench.evaluator.share.dataset.contents import DAMAGED
 from gpusimbench.evaluator.share.dataset.publish import Published
 from gpusimbench.evaluator.share.dataset.verify import Verification
 from gpusimbench.schemas import __version__
 from gpusimbench.schemas.text import plural
-
-SCHEMA_VERSION = 1
 
 _MOST_PERSONAL = 10
 _MOST_FINDINGS = 200
@@ -80,8 +78,7 @@ def verification_lines(verification: Verification) -> Iterator[str]:
 def dump_verification(verification: Verification) -> str:
     """A JSON document."""
     manifest = verification.manifest
-    return dump({
-        "schema_version": SCHEMA_VERSION,
+    return dump(document_of({
         "gpusimbench": __version__,
         "exit_code": int(verification.exit_code),
         **picked(manifest, "title licence written_by"),
@@ -91,4 +88,4 @@ def dump_verification(verification: Verification) -> str:
         "tables": list(verification.tables),
         "findings": [{"kind": f.kind.word, "path": f.path, "said": f.said} for f in verification.findings],
         "not_looked_at": list(verification.unchecked),
-    })  # fmt: skip
+    }))  # fmt: skip

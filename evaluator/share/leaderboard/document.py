@@ -109,7 +109,7 @@ def _barred(section: Section) -> Cell:
     found: dict[str, list[str]] = {}
     for row in section.unranked:
         if _is_fault(row):
-            found.setdefault(row.key.simulator, []).append(_in_short(row.no_place))
+            found.setdefault(row.key.simulator, []).append(_in_short(row.place_missing))
     told = (
         f"{name} ({plural(len(reasons), 'row')}): {'; '.join(dict.fromkeys(reasons))}"
         for name, reasons in found.items()
@@ -117,16 +117,16 @@ def _barred(section: Section) -> Cell:
     return Cell(", ".join(found), notes=tuple(told), tone=Tone.BAD) if found else EMPTY
 
 
-def _in_short(no_place: str) -> str:
+def _in_short(place_missing: str) -> str:
     """What kind of reason it is; the whole of it stands in the table of rows without a place."""
-    kind, _, rest = no_place.partition(": ")
+    kind, _, rest = place_missing.partition(": ")
     return cut(f"elsewhere {rest.partition('; ')[0]}" if kind == ELSEWHERE else kind, _REASON)
 
 
 def _is_fault(row: Standing) -> bool:
     """Whether a row has no place for what it did, and not because it was never to be ranked."""
-    untimed = isinstance(row.fps.value, Missing) and row.no_place == row.fps.value.reason
-    return bool(row.no_place) and not untimed and not is_instrument(row.key)
+    untimed = isinstance(row.fps.value, Missing) and row.place_missing == row.fps.value.reason
+    return bool(row.place_missing) and not untimed and not is_instrument(row.key)
 
 
 def _section(number: int, section: Section) -> Part:
@@ -191,7 +191,7 @@ def _points(key: str, of: Sequence[Standing]) -> Table:
 def _without_place(key: str, of: Sequence[Standing]) -> Table:
     rows = []
     for row in of:
-        why = Cell(row.no_place, tone=Tone.BAD if _is_fault(row) else Tone.QUIET)
+        why = Cell(row.place_missing, tone=Tone.BAD if _is_fault(row) else Tone.QUIET)
         rows.append(Row((_who(row), _envs(row), why, _checked(row), _reproduced(row)), facets(row.key)))
     return table(key, "", ("simulator", "envs", "why it has no place", _CHECKED, _REPRODUCED), rows)
 

@@ -9,14 +9,13 @@ from functools import cache
 from typing import Any
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
-from gpusimbench.evaluator.json_values import dump, picked, values_of
+from gpusimbench.evaluator.json_values import document_of, dump, picked
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.csv import Cell, to_csv
 from gpusimbench.evaluator.render.numbers import ranked
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.evidence_json import estimate_record
 from gpusimbench.evaluator.results.details import Throughput
-from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.share.dataset.contents import BROKEN
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
 from gpusimbench.evaluator.share.leaderboard.standing import Board, Row, Section
@@ -28,13 +27,12 @@ _LONGEST = 100
 _YES_OR_NO = re.compile(r"^found (yes|no) ")
 
 COLUMNS = (
-    "scene", "device", "dt_s", "place", "simulator", "version", "determinism", "label", "n_env", "runs", "recordings",
+    "scene", "device", "dt", "place", "simulator", "version", "determinism", "label", "n_env", "runs", "recordings",
     "fps", "fps_sd", "fps_low", "fps_high", "memory", "memory_unit", "n_env_max", "distinct_envs", "distinct_runs",
-    "type", "check", "reproduced", "replays", "gates", "no_place", "content_hashes",
+    "type", "check", "reproduced", "replays", "gates", "place_missing", "content_hashes",
     *(column.title for column in timed.ALL),
 )  # fmt: skip
 
-SCHEMA_VERSION = 1
 KIND = "gpusimbench leaderboard"
 """By which a leaderboard's document is told from other files of that name."""
 
@@ -150,7 +148,7 @@ def _values(section: Section, row: Row) -> tuple[Cell, ...]:
         row.sweep.n_max if row.sweep else None,
         *(known(metrics[name].value) for name in ("distinct_envs", "distinct_runs", "regime_published")),
         checked(row), row.reproduction.reproduced, row.reproduction.count,
-        "; ".join(row.gates), row.no_place, " ".join(entry.content_hash for entry in row.entries),
+        "; ".join(row.gates), row.place_missing, " ".join(entry.content_hash for entry in row.entries),
         *timed.cells(timed.ALL, row.result.timed),
     )  # fmt: skip
 
@@ -158,14 +156,13 @@ def _values(section: Section, row: Row) -> tuple[Cell, ...]:
 def dump_json(board: Board) -> str:
     """The document."""
     return dump(
-        values_of({
-            "schema_version": SCHEMA_VERSION,
+        document_of({
             "kind": KIND,
             "gpusimbench": __version__,
             "title": board.title,
             "sample_time_s": board.sample_time,
             "sections": [_section(section) for section in board.sections],
-            "unreadable": [{"file": name, "why": why} for name, why in board.unreadable],
+            "unreadable": [{"file": name, "reason": why} for name, why in board.unreadable],
             "notes": board.notes,
         })
     )  # fmt: skip
@@ -176,7 +173,7 @@ def _section(section: Section) -> dict[str, Any]:
         "scene": section.scene,
         "scene_sha256": section.scene_hash,
         "device": section.device,
-        "dt_s": section.dt,
+        "dt": section.dt,
         "timed": section.timed,
         "rows": [_row(row) for row in section.rows],
     }
@@ -185,26 +182,22 @@ def _section(section: Section) -> dict[str, Any]:
 def _row(row: Row) -> dict[str, Any]:
     key, metrics = row.key, row.result.metrics
     return {
-        **picked(row, "place equals no_place"),
+        **picked(row, "place equals place_missing"),
         "label": row.result.label,
         **picked(key, "simulator version determinism"),
         "options": json.loads(key.options),
         "switches": json.loads(key.switches or "{}"),
         **picked(key, "n_env warmup timed_steps"),
-        "runs": row.result.group.outcomes,
-        "throughput": _metric(row.fps),
+        "outcomes": row.result.group.outcomes,
+        "throughput": estimate_record(row.fps),
         **picked(row.fps.of(Throughput), "co_tenants speeds"),
         "timed": timed.timed_record(row.result.timed),
-        "memory": _metric(row.memory),
+        "memory": estimate_record(row.memory),
         "n_env_max": row.sweep.n_max if row.sweep else None,
         "sweep_ends": row.sweep.ends if row.sweep else None,
-        **{name: _metric(metrics[name]) for name in ("distinct_envs", "distinct_runs", "regime_published")},
+        **{name: estimate_record(metrics[name]) for name in ("distinct_envs", "distinct_runs", "regime_published")},
         "gates": row.gates,
         "protocol": deviations(row),
         "reproduction": row.reproduction,
         "recordings": row.entries,
     }
-
-
-def _metric(metric: Estimate) -> dict[str, Any]:
-    return {"name": metric.name, **estimate_record(metric)}

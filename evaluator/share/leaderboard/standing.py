@@ -54,7 +54,7 @@ class Row:
     entries       its recordings
     reproduction  by replays among all recordings
     sweep         that it is a point of; None where it is in none
-    place         in its section, from 1; None where it has none, and `no_place` says why
+    place         in its section, from 1; None where it has none, and `place_missing` says why
     gates         what did not hold, a sentence each
     equals        place of the row above it, where its throughput is not shown to be lower than that of the row above;
                   else None
@@ -65,7 +65,7 @@ class Row:
     reproduction: Reproduction
     sweep: Sweep | None
     place: int | None
-    no_place: str
+    place_missing: str
     gates: tuple[str, ...]
     equals: int | None = None
 
@@ -118,12 +118,12 @@ class Section:
     @property
     def points(self) -> tuple[Row, ...]:
         """Rows that are other points of a configuration with a place, by configuration and number of environments."""
-        return tuple(row for row in self.rows if row.place is None and not row.no_place)
+        return tuple(row for row in self.rows if row.place is None and not row.place_missing)
 
     @property
     def unranked(self) -> tuple[Row, ...]:
         """Rows that cannot have a place."""
-        return tuple(row for row in self.rows if row.no_place)
+        return tuple(row for row in self.rows if row.place_missing)
 
 
 def sections(
@@ -179,7 +179,7 @@ def _row(
         reproduction=reproduction(result.group.recordings, dict(replays)),
         sweep=sweep,
         place=None,
-        no_place=_no_place(result, results, entries),
+        place_missing=_no_place(result, results, entries),
         gates=tuple(_gates(result, entries)),
     )
 
@@ -242,7 +242,7 @@ def _gates(result: GroupResult, entries: Sequence[Entry]) -> list[str]:
 
 def _placed(rows: Sequence[Row]) -> tuple[Row, ...]:
     """The fastest point of each configuration gets a place, by throughput; equal throughput, equal place."""
-    able = [row for row in rows if not row.no_place and not isinstance(row.fps.value, Missing)]
+    able = [row for row in rows if not row.place_missing and not isinstance(row.fps.value, Missing)]
     best: dict[GroupKey, Row] = {}
     for row in sorted(able, key=_speed):
         best.setdefault(sweep_key(row.key), row)
@@ -259,7 +259,7 @@ def _placed(rows: Sequence[Row]) -> tuple[Row, ...]:
     placed = [replace(row, place=at, equals=other) for row, at, other in zip(ordered, places, equal, strict=False)]
     chosen = {row.result.label for row in ordered}
     others = [row for row in rows if row.result.label not in chosen]
-    return (*placed, *(row for row in others if not row.no_place), *(row for row in others if row.no_place))
+    return (*placed, *(row for row in others if not row.place_missing), *(row for row in others if row.place_missing))
 
 
 def _speed(row: Row) -> tuple[float, int, str]:
