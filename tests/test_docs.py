@@ -132,7 +132,12 @@ _SHORTER = " --steps 50 --timed-steps 50"
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "page", ["README.md", "docs/recording.md", "docs/timing.md", pytest.param("docs/scale.md", marks=pytest.mark.alone)]
+    "page",
+    [
+        "README.md",
+        *(f"docs/{name}.md" for name in ("gpu-memory", "metrics", "recording", "regimes", "timing")),
+        pytest.param("docs/scale.md", marks=pytest.mark.alone),
+    ],
 )
 def test_commands_of_a_page(page: str, tmp_path: Path) -> None:
     """Run every command of a page in a folder that has the sample recordings."""
