@@ -37,7 +37,7 @@ SAID = [
             *map(runs_needed, (1, 2, 3, 10))
         ),
     ),
-    ("compare.md", f"if there are at most {exchange.MOST_DEALINGS:,}; otherwise {exchange.DRAWN:,} are drawn"),
+    ("compare-tests.md", f"if there are at most {exchange.MOST_DEALINGS:,}; otherwise {exchange.DRAWN:,} are drawn"),
     ("metrics.md", f"{_ENOUGH} permutations up to {_FEW} points a side, {_SOME} up to {_MANY}, and none beyond"),
     (
         "metrics.md",
