@@ -118,7 +118,11 @@ def test_the_tutorial(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "how-to").glob("*.md")), ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [*sorted((ROOT / "docs" / "how-to").glob("*.md")), ROOT / "docs" / "gpu-memory.md"],
+    ids=lambda page: page.stem,
+)
 def test_the_how_tos(page: Path, tmp_path: Path) -> None:
     """Do what a page of instructions says in a folder that has the sample recordings."""
     for name in ("recordings", "examples"):
@@ -132,7 +136,12 @@ _SHORTER = " --steps 50 --timed-steps 50"
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "page", ["README.md", "docs/recording.md", "docs/timing.md", pytest.param("docs/scale.md", marks=pytest.mark.alone)]
+    "page",
+    [
+        "README.md",
+        *(f"docs/{name}.md" for name in ("metrics", "recording", "regimes", "timing")),
+        pytest.param("docs/scale.md", marks=pytest.mark.alone),
+    ],
 )
 def test_commands_of_a_page(page: str, tmp_path: Path) -> None:
     """Run every command of a page in a folder that has the sample recordings."""

@@ -39,8 +39,8 @@ def _clamped(published: Metric) -> Metric:
         published,
         name=published.name + SUFFIX,
         title=f"clamped {published.title}",
-        docs=f"`{published.name}`, computed with every position beside the board moved to its nearest edge; see "
-        "[cubes that left the board](#cubes-that-left-the-board)",
+        docs=f"`{published.name}` with every position beside the board [moved to its nearest "
+        "edge](#cubes-that-left-the-board)",
         published=False,
         values=None,
         of_group=estimate,

@@ -218,17 +218,17 @@ def _capture(group: GroupRuns) -> CaptureOverhead:
 
 FPS = Metric(
     "fps", "throughput", "env-steps/s", Direction.HIGHER,
-    "environment-steps per second of the timed phase, N_env * N_step / T_step; mean over runs. `speeds`: runs, "
-    "slowest and fastest run of each outcome, if throughput [goes with the outcome](#throughput-by-outcome)",
+    "environment-steps per second of the timed phase, N_env * N_step / T_step; mean over runs ([by "
+    "outcome](#throughput-by-outcome))",
     method="N_env * N_step / T_step of the timed phase", published=True,
     values=each(_fps), details=_throughput, axis=Axis.THROUGHPUT, radar=RadarAxis.THROUGHPUT,
 )  # fmt: skip
 
 DEVICE_MEMORY = Metric(
     "memory_peak_increment", "GPU memory increment", "GB", Direction.LOWER,
-    "largest reading of the GPU's memory in the timed phase (up to its last clock reading) minus the baseline. NVML's "
-    "figure for the whole device that steps, which is the first that CUDA shows to the run; mean over runs without a "
-    "known [co-tenant](#gpu-memory-and-other-processes)",
+    "largest reading of NVML's figure for the whole device in the timed phase (up to its last clock reading) minus the "
+    "baseline; the device is the first that CUDA shows to the run. Mean over runs without a known "
+    "[co-tenant](#gpu-memory-and-other-processes)",
     method="peak of the timed phase minus baseline (NVML, the whole of the device that steps)", published=True,
     values=each(_device_increment), details=_device_memory, of_group=_device,
     interval="delete-one-run jackknife", axis=Axis.MEMORY, radar=RadarAxis.MEMORY,
@@ -236,8 +236,7 @@ DEVICE_MEMORY = Metric(
 
 PROCESS_MEMORY = Metric(
     "process_memory_peak", "GPU memory of the process", "GB", Direction.LOWER,
-    "largest reading, in the timed phase, of the memory that NVML attributes to the run's process; the process has "
-    "none at the baseline; mean over all runs",
+    "largest reading, in the timed phase, of the memory that NVML attributes to the run's process; mean over all runs",
     method="largest reading of the timed phase (NVML, of the run's process, which held none before)",
     values=each(_process_peak), details=_process_memory, optional=True, axis=Axis.MEMORY,
 )  # fmt: skip
@@ -277,8 +276,7 @@ COMPILE_TIME = Metric(
 CAPTURE_OVERHEAD = Metric(
     "capture_slowdown", "capture overhead", "", Direction.LOWER,
     "duration of a captured step relative to a timed step, (T_capture / N_capture) / (T_timed / N_timed); mean over "
-    "runs. The two phases make different steps of the scene, so contacts that occur late change the ratio. "
-    "`stalled_share`: share of the capture's time in which the engine waited for the disk",
+    "runs. The two phases make different steps of the scene, so contacts that occur late change the ratio",
     method="time of a captured step / of a timed step",
     values=each(_overhead), remark="; the phases make other steps of the scene", details=_capture, optional=True,
 )  # fmt: skip

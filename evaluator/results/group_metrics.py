@@ -266,8 +266,7 @@ def _resampled(
 
 W1_PARALLEL = Metric(
     "w1_parallel", "W1 between envs", "cm", Direction.LOWER,
-    "parallel variability: mean of W1 over all pairs of environments of a run; mean over runs. `matrix_of`: index, in "
-    "the lists of `distinct_envs`, of the run whose matrix is drawn",
+    "parallel variability: mean of W1 over all pairs of environments of a run; mean over runs",
     method="W1 between the planar positions of two environments, mean over pairs", published=True,
     table=Table.VARIABILITY, values=_parallel_values, of_group=_parallel,
     interval="delete-one-run jackknife", axis=Axis.VARIABILITY, radar=RadarAxis.PARALLEL,
@@ -276,7 +275,7 @@ W1_PARALLEL = Metric(
 W1_RUN_TO_RUN = Metric(
     "w1_run_to_run", "W1 between runs", "cm", Direction.LOWER,
     "run-to-run variability: mean and SD of W1 over all pairs of runs, where the bodies of all environments of a run "
-    "are one set. `run_indices` and `classes`: which runs, and their classes of equal bits, in the matrix's order",
+    "are one set",
     method="W1 between the pooled planar positions of two runs", published=True,
     table=Table.VARIABILITY, of_group=_run_to_run,
     interval="delete-one-run jackknife of a mean over pairs", axis=Axis.VARIABILITY, radar=RadarAxis.RUN_TO_RUN,
@@ -292,8 +291,7 @@ W1_REAL = Metric(
 
 LEFT_BOARD = Metric(
     "left_board", "bodies off the board", "bodies per env", Direction.LOWER,
-    "bodies beside or below the board at the sample step; see [cubes that left the board](#cubes-that-left-the-board). "
-    "`total`: all such bodies; `envs_with_any`: environments with such a body",
+    "bodies beside or below the board at the sample step; see [cubes that left the board](#cubes-that-left-the-board)",
     method="bodies whose centre is beside or below the board at the sample step",
     table=Table.VARIABILITY, of_group=_left_board,
 )  # fmt: skip
@@ -308,12 +306,9 @@ SANK = Metric(
 
 REGIME = Metric(
     "regime_published", "published type", "type", Direction.NEITHER,
-    "[type](regimes.md) 1 to 4: whether `w1_parallel` and `w1_run_to_run` are nonzero after rounding to 0.01 cm. "
-    "`probabilities`: probability of each type for another sample of as many runs, by resampling whole runs. "
-    "`decided_by`: indices of the runs without which the type would differ. `agreement`: whether all runs are equal in "
-    "`bits` or only by `rounding`. `distinct`: number of runs that are distinct by bits. `run_differs_below`: if all "
-    "runs are equal in that sense, upper bound on the probability that another run is not "
-    "([statistics](statistics.md))",
+    "[type](regimes.md) 1 to 4: whether `w1_parallel` and `w1_run_to_run` are nonzero after rounding to 0.01 cm; with "
+    "the probability of each type for another sample of as many runs, or, if all runs agree, a bound on the "
+    "probability that another run differs ([statistics](statistics.md#regimes-statisticsregimespy))",
     method="variability counts as present where it is nonzero after rounding to 0.01 cm", published=True,
     table=Table.VARIABILITY, of_group=_regime,
 )  # fmt: skip

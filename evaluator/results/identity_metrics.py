@@ -263,16 +263,14 @@ def _level(metric: Metric, found: Verdict, n: int, run: int | None = None) -> Es
 DISTINCT_ENVS = Metric(
     "distinct_envs", "distinct envs", "", Direction.NEITHER,
     "number of classes of environments of a run; environments of a class are bit-identical at every captured step; "
-    "largest number of all runs. `over_time`: distinct environments at a step, and up to this step, at the steps where "
-    "either number changes; `tree`: [splits](#divergence) in the first run",
+    "largest number of all runs, and their [splits](#divergence) over time",
     method=f"largest number of distinct environments in a run, by {_HASHED}",
     table=Table.VARIABILITY, of_group=_distinct_envs,
 )  # fmt: skip
 
 DISTINCT_RUNS = Metric(
     "distinct_runs", "distinct runs", "", Direction.NEITHER,
-    "number of classes of runs; runs of a class are bit-identical, environment by environment. `over_time` and `tree`: "
-    "as for `distinct_envs`",
+    "number of classes of runs; runs of a class are bit-identical, environment by environment",
     method=f"distinct runs, env by env, by {_HASHED}", table=Table.VARIABILITY, of_group=_distinct_runs,
 )  # fmt: skip
 
@@ -293,10 +291,9 @@ EQUALITY_ENVS = Metric(
 EQUALITY_RUNS = Metric(
     "equality_runs", "equality of runs", "level", Direction.LOWER,
     "the same levels for runs, environment by environment. Level 1 also if the environments are the same, bit by bit "
-    'and each as often, in another order ("equal up to the order of environments", "... environments and bodies"); '
-    "`order` names what is in another order. An order is not recognised if values also differ by rounding, or if "
-    "environments have different origins. Orientations and velocities are not compared ([`gsb-diff`](diff.md) compares "
-    "them)",
+    'and each as often, in another order ("equal up to the order of environments", "... environments and bodies"). An '
+    "order is not recognised if values also differ by rounding, or if environments have different origins. "
+    "Orientations and velocities are not compared ([`gsb-diff`](diff.md) compares them)",
     method=_LEVELS, table=Table.VARIABILITY, of_group=_equality_of_runs,
 )  # fmt: skip
 
@@ -315,7 +312,7 @@ CAPTURE_CHANGES_STATES = Metric(
     "capture_changes_states", "runs changed by capturing", "", Direction.LOWER,
     "number of runs whose captured states differ from the states of the timed phase, in which nothing is recorded. If "
     "some differ, there is a value only if all runs are bit-identical (`distinct_runs` is 1), because otherwise the "
-    "engine itself may cause the difference; the reason then says so, with the counts in `extra`",
+    "engine itself may cause the difference",
     method="runs whose state hashes differ between timed and capture phase at a step that both passed",
     of_group=_capture_effect,
 )  # fmt: skip

@@ -120,18 +120,16 @@ def _made(unit: str, name: str, what: str, joints: str) -> tuple[Metric, Metric]
     return (
         Metric(
             f"joint_{name}_parallel", f"{what} between envs", unit, Direction.LOWER,
-            f"the counterpart of `w1_parallel` in joint space: {of} of the difference between two environments at the "
-            "sample step. Mean over all pairs of environments of a run, then over runs; see "
-            "[joint space](#joint-space)",
+            f"the counterpart of `w1_parallel` in [joint space](#joint-space): {of} of the difference between two "
+            "environments. Mean over all pairs of environments of a run, then over runs",
             method=f"{of} of the difference between two environments, mean over pairs", table=Table.VARIABILITY,
             values=partial(_between_envs, unit), details=partial(_joints, unit), of_group=_parallel,
             interval="delete-one-run jackknife", optional=True, axis=Axis.VARIABILITY,
         ),
         Metric(
             f"joint_{name}_run_to_run", f"{what} between runs", unit, Direction.LOWER,
-            f"the counterpart of `w1_run_to_run` in joint space: {of} of the difference between the same environment "
-            "of two runs at the sample step, mean over environments. Mean and SD over all pairs of runs; see "
-            "[joint space](#joint-space)",
+            f"the counterpart of `w1_run_to_run` in [joint space](#joint-space): {of} of the difference between the "
+            "same environment of two runs, mean over environments. Mean and SD over all pairs of runs",
             method=f"{of} of the difference between the same environment of two runs, mean over environments",
             table=Table.VARIABILITY, of_group=_run_to_run,
             interval="delete-one-run jackknife of a mean over pairs", optional=True, axis=Axis.VARIABILITY,

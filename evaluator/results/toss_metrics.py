@@ -169,10 +169,10 @@ TOSS_DEPTH = replace(
 
 TOSS_LOCAL_POSITION = replace(
     TOSS_POSITION, name="toss_local_position", title="local error of position",
-    docs="of recordings with `--intervene teacher@STEPS`: the cube is set to each k-th measured row, and this is the "
-    "distance between the centres k rows later, just before the next setting. Mean over the settings of a toss, then "
-    "over tosses with more than k rows. An early error is thus no part of later ones. `tracking_floor`: the same for a "
-    "cube in free flight, over the settings with k rows of it",
+    docs="of recordings with `--intervene teacher@STEPS`: the cube is set to each k-th measured row, so that early "
+    "errors are no part of later ones. Distance between the centres k rows later, just before the next setting; mean "
+    "over the settings of a toss, then over tosses with more than k rows. `tracking_floor`: the same for a cube in "
+    "free flight, over the settings with k rows of it",
     method="distance between the centres k rows after the cube was set to a row of the toss, mean over a toss",
     of_group=_local("position", _CM),
 )  # fmt: skip
