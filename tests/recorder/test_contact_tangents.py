@@ -6,6 +6,8 @@ MJX and MuJoCo Warp lay the tangents of a contact between a steep capsule and a 
 from __future__ import annotations
 
 import math
+from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,10 +15,17 @@ import pytest
 
 from tests.recorder.engines import needed
 
+jax = needed("jax")
 mjx = needed("mujoco.mjx")
 mujoco_warp = needed("mujoco_warp")
 
 pytestmark = pytest.mark.slow  # both engines compile
+
+
+@cache
+def mjx_forward() -> Any:
+    """mjx.forward as one program: called by itself, it is hundreds of programs to compile."""
+    return jax.jit(mjx.forward)
 
 
 def capsule(lean_deg: float, cone: str) -> mujoco.MjModel:
@@ -35,7 +44,7 @@ def first_tangents(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     found = {"mujoco": data.contact.frame[data.contact.dist.argmin()].reshape(3, 3)[1]}
-    jax_data = mjx.forward(mjx.put_model(model, impl="jax"), mjx.put_data(model, data, impl="jax"))
+    jax_data = mjx_forward()(mjx.put_model(model, impl="jax"), mjx.put_data(model, data, impl="jax"))
     contact = jax_data._impl.contact
     found["mjx"] = np.asarray(contact.frame)[np.asarray(contact.dist).argmin()][1]
     w_model, w_data = mujoco_warp.put_model(model), mujoco_warp.put_data(model, data)
@@ -60,6 +69,6 @@ def test_elliptic_cones_do_not_see_it(cone: str, alike: bool) -> None:
     data = mujoco.MjData(model)
     data.qvel[0] = 1.0  # slides along x: along a face of one pyramid, along an edge of the other
     mujoco.mj_forward(model, data)
-    other = mjx.forward(mjx.put_model(model, impl="jax"), mjx.put_data(model, data, impl="jax"))
+    other = mjx_forward()(mjx.put_model(model, impl="jax"), mjx.put_data(model, data, impl="jax"))
     apart = np.abs(np.asarray(other.qacc)[:2] - data.qacc[:2]).max() / np.abs(data.qacc[:2]).max()
     assert (apart < 1e-3) == alike, apart

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
-import random
 import resource
 import shutil
 import signal
 import subprocess
-from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,8 +16,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, RecordingError
-from tests.conftest import SMALL, Command, command, run_python, wait_for
-from tests.moments import descendants, has_worked, has_written, wait_until, whole
+from tests.conftest import Command, command, run_python, wait_for
 
 
 def _run(gsb_record: Command, plugin: dict[str, str], out: Path, mode: str, *more: object):  # type: ignore[no-untyped-def]
@@ -141,52 +137,6 @@ def test_a_full_disk(gsb_record: Command, tmp_path: Path, limit: int) -> None:
     assert [f.suffix for f in files] == [".partial"] * 2
     for file in files:
         assert _status(file) in ("incomplete", "unreadable")
-
-
-@pytest.mark.slow
-def test_killed_at_any_moment(tmp_path: Path) -> None:
-    """Leave, after SIGKILL at 24 moments over a whole run, either a complete file or one that says it is not."""
-    arguments = [*command("gsb-record"), "--sim", "mujoco", "--n-env", "4", "--runs", "1", *SMALL]
-    seconds, content = whole([*arguments, "--out", str(tmp_path / "whole")], tmp_path / "whole")
-    seen = set()
-    moments = random.Random(0)
-    for number in range(24):
-        out = tmp_path / str(number)
-        share = (number // 2 + moments.random()) / 12
-        process = subprocess.Popen(
-            [*arguments, "--out", str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True
-        )
-        if number % 2:
-            wait_until(process, partial(has_worked, process.pid, (0.25 + 0.8 * share) * seconds))
-        else:
-            wait_until(process, partial(has_written, out, share * content))
-        for child in descendants(process.pid)[1:]:
-            with suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)
-        process.wait(timeout=60)
-        for file in out.iterdir() if out.exists() else ():
-            status = _status(file)
-            seen.add(status)
-            # between the end record's last byte and the new name, a .partial file may be whole
-            assert status == "complete" or file.suffix == ".partial", (status, file)
-            if status == "incomplete":
-                _check_states(file)
-    assert "incomplete" in seen
-
-
-def _check_states(file: Path) -> None:
-    # what was reported as written is there, and right: rows from the start on, without gaps
-    recording = open_recording(file)
-    verify(recording)
-    if recording.simulation is None:
-        return
-    array = recording.state("cubes", "position")
-    if len(array):
-        assert array[:].shape[1:] == (4, 27, 3)
-        hashes = recording.fingerprints("capture")
-        assert hashes is not None or len(array) == 1
-        # those of the block that was written last may be missing: its states come first
-        assert hashes is None or hashes.steps.tolist() == list(range(len(hashes.steps)))
 
 
 def _status(file: Path) -> str:

@@ -21,6 +21,7 @@ from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.run.vary import refusal, variation
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.jax.simulator import JaxSimulator
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.action_generator import Streams
 from gpusimbench.schemas.errors import UsageError
@@ -82,6 +83,16 @@ def test_targets_are_drawn_on_the_device(seed: int, step: int, given_to: list[tu
     drawn = np.asarray(device_draw(actions, seed=seed)(np.uint32(step), env, begun))
     expected = actions.draw(seed, n_env=len(env), first_step=step, n_step=1, streams=Streams(env, begun))
     assert drawn.tobytes() == expected[0].tobytes()
+
+
+@pytest.mark.slow
+def test_a_restored_state_is_stepped_by_the_program_of_the_first() -> None:
+    """Give XLA the same program, so that no run that begins with a snapshot compiles what JAX's cache has."""
+    simulator, _ = build("mjx", PAIR)
+    assert isinstance(simulator, JaxSimulator)
+    first = simulator._lowered("advance").as_text()
+    simulator.restore(simulator.snapshot())
+    assert simulator._lowered("advance").as_text() == first
 
 
 @pytest.mark.parametrize("options", [{"impl": "vulkan"}, {"cone": "round"}, {"njmax": -1}, {"device": "tpu"}])

@@ -165,9 +165,6 @@ class Brax(JaxSimulator):
         no_actions = jnp.zeros(0, jnp.float32)
         step = jax.vmap(lambda state: pipeline.step(system, state, no_actions))
 
-        def initial(qpos: Any, qvel: Any) -> Any:
-            return jax.jit(jax.vmap(lambda q, qd: pipeline.init(system, q, qd)))(qpos, qvel)
-
         def count(state: Any) -> dict[str, Any]:
             # a body of a scene has one shape, at its centre
             centres = jnp.where((body == 0)[:, None], fixed, state.x.pos[:, body - 1])
@@ -183,7 +180,7 @@ class Brax(JaxSimulator):
             }
 
         return Physics(
-            initial=initial,
+            initial=jax.jit(jax.vmap(lambda q, qd: pipeline.init(system, q, qd))),
             advance=lambda state, actions: step(state),
             observe=lambda state: {
                 "position": state.x.pos,
@@ -193,7 +190,9 @@ class Brax(JaxSimulator):
             },
             count=count,
             kept=_leaves,
-            put=lambda state, arrays: jax.tree.unflatten(jax.tree.structure(state), list(arrays.values())),
+            put=lambda state, arrays: jax.tree.unflatten(
+                jax.tree.structure(state), [arrays[name] for name in _leaves(state)]
+            ),
         )
 
     @property

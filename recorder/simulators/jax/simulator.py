@@ -156,22 +156,29 @@ class JaxSimulator(Simulator):
 
     def _program(self, name: str) -> Any:
         """The compiled program of that name: "advance", "record" or "count"."""
+        if name not in self._programs:
+            self._programs[name] = self._lowered(name).compile()
+        return self._programs[name]
+
+    def _lowered(self, name: str) -> Any:
+        """The program of that name as XLA is given it, the same whichever way the present state came about."""
         import jax
 
-        if name not in self._programs:
-            # The state's memory is handed over to the program that steps it: there is never a second copy.
-            arguments = {
-                "advance": (self._state, self._bits, self._step, np.int32(1), *self._drawn_by()),
-                "record": (self._state, self._step, np.int32(1), *self._drawn_by()),
-                "count": (self._state,),
-            }[name]
-            traced = {
-                "advance": lambda: jax.jit(self._advance, donate_argnums=0),
-                "record": lambda: jax.jit(self._record, donate_argnums=0),
-                "count": lambda: jax.jit(self._physics.count),
-            }[name]()
-            self._programs[name] = traced.lower(*arguments).compile()
-        return self._programs[name]
+        # Arrays that JAX may still move to another device make another program. Placed here, a state that was restored
+        # or set is stepped by the program of the first state, which JAX's cache then has.
+        state = jax.device_put(self._state, self._device)
+        # The state's memory is handed over to the program that steps it: there is never a second copy.
+        arguments = {
+            "advance": (state, self._bits, self._step, np.int32(1), *self._drawn_by()),
+            "record": (state, self._step, np.int32(1), *self._drawn_by()),
+            "count": (state,),
+        }[name]
+        traced = {
+            "advance": lambda: jax.jit(self._advance, donate_argnums=0),
+            "record": lambda: jax.jit(self._record, donate_argnums=0),
+            "count": lambda: jax.jit(self._physics.count),
+        }[name]()
+        return traced.lower(*arguments)
 
     def _drawn_by(self) -> tuple[NDArray[np.uint32], ...]:
         # of scenes with actions: arguments, so that one program makes the steps of all runs, whatever their streams are
@@ -261,8 +268,7 @@ class JaxSimulator(Simulator):
         if envs is None:
             self._step = np.uint32(snapshot.step)
         else:
-            present = self._physics.kept(self._state)
-            arrays = {name: present[name].at[envs].set(array[envs]) for name, array in arrays.items()}
+            arrays = self._mixed(arrays, self._physics.kept(self._state), envs)
         self._state = self._physics.put(self._state, arrays)
         self._counted = None
 
@@ -275,19 +281,28 @@ class JaxSimulator(Simulator):
         self._select(self._first_state(states, envs), envs)
 
     def _select(self, first: Any, envs: Envs) -> None:
+        if envs is None:
+            self._state, self._step = first, np.uint32(0)
+        else:
+            self._state = self._mixed(first, self._state, envs)
+        self._counted = None
+
+    def _mixed(self, new: Any, present: Any, envs: NDArray[np.int64]) -> Any:
+        """`present` with the rows of these environments from `new`, trees of the same arrays."""
         import jax
 
-        def chosen(new: Any, present: Any) -> Any:
+        def mixed(new: Any, present: Any, envs: Any) -> Any:
             # what has no axis of environments is a buffer that all share, filled anew in each step
             if not present.ndim or present.shape[0] != self.n_env:
                 return present
             return present.at[envs].set(new[envs])
 
-        if envs is None:
-            self._state, self._step = first, np.uint32(0)
-        else:
-            self._state = jax.tree.map(chosen, first, self._state)
-        self._counted = None
+        # one program for all arrays: by themselves, a hundred of them are a hundred programs to compile
+        if "mixed" not in self._programs:
+            self._programs["mixed"] = jax.jit(
+                lambda new, present, envs: jax.tree.map(lambda a, b: mixed(a, b, envs), new, present)
+            )
+        return self._programs["mixed"](new, present, envs)
 
     def begin_states(self, n_step: int) -> Captured:
         """See Simulator.begin_states: JAX returns before its device is done."""

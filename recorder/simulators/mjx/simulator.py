@@ -153,9 +153,11 @@ class Mjx(MjxSimulator):
         model_on_device, axes = batched(on_device, model.varied) if model.varied else (on_device, None)
         step = jax.vmap(mjx.step, (axes, 0))
 
+        # array by array, each copy would be a program of its own to compile
+        copies = jax.jit(lambda one, qpos, qvel: jax.vmap(lambda q, v: one.replace(qpos=q, qvel=v))(qpos, qvel))
+
         def initial(qpos: Any, qvel: Any) -> Any:
-            one = model.first_data(device, jnp.asarray(qpos[0]), jnp.asarray(qvel[0]))
-            return jax.vmap(lambda q, v: one.replace(qpos=q, qvel=v))(jnp.asarray(qpos), jnp.asarray(qvel))
+            return copies(model.first_data(device, jnp.asarray(qpos[0]), jnp.asarray(qvel[0])), qpos, qvel)
 
         def advance(data: Any, actions: Any) -> Any:
             return step(model_on_device, data if actions is None else data.replace(ctrl=actions))
