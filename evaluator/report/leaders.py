@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -12,9 +12,10 @@ from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput, ranked_words, shown_slower
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.results.timed_work import most_common, window_key
+from gpusimbench.evaluator.results.timed_work import window_key
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, Ranked, configuration, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
+from gpusimbench.schemas.configuration import deciding
 
 _UNKNOWN = "no run of this configuration has errors against tosses"
 
@@ -42,6 +43,8 @@ class Speed:
 class Fastest:
     """Of the simulators that were timed over the same steps of one scene on one device: the fastest, and the next.
 
+    The same steps are those of one window_key.
+
     scene, device  of all of them
     first, second  of them no run is INVALID, and no check of mechanics and no law in closed form broken, in any scene,
                    and their throughput meets the protocol's rules on the timed window and on evidence of work; where
@@ -49,7 +52,6 @@ class Fastest:
                    nobody is left
     faster         groups with a higher throughput that are not named first, each with the reason: of the groups of one
                    simulator with one kind of reason, the fastest
-    otherwise      simulators that were timed over other steps, which cannot be compared
     remarks        what must be known to compare the two
     """
 
@@ -58,7 +60,6 @@ class Fastest:
     first: Speed | None
     second: Speed | None
     faster: tuple[tuple[Speed, str], ...]
-    otherwise: tuple[tuple[str, str], ...]
     remarks: tuple[str, ...]
 
     @property
@@ -79,17 +80,18 @@ def not_ranked(found: Fastest, results: Sequence[GroupResult]) -> dict[str, list
 
 
 def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
-    """For each scene and device, among the groups that were timed over the steps that most of them were timed over."""
+    """For each scene and device, among groups that can be compared.
+
+    Of several sets of such groups, the one whose environments begin and stay as the scene says, then the largest.
+    """
     clocked: dict[tuple[str, str], list[GroupResult]] = {}
     for result in results:
         key = result.group.key
         if not (isinstance(result.metrics["fps"].value, Missing) or is_instrument(key)):
             clocked.setdefault((key.scene, key.device), []).append(result)
     for (scene, device), found in sorted(clocked.items()):
-        windows = [window_key(r.group.key, r.timed) for r in found]
-        usual = most_common(windows)
-        alike = [r for r, window in zip(found, windows, strict=True) if window == usual]
-        if len({r.group.key.simulator for r in alike}) < 2:
+        alike = _comparable(found)
+        if not alike:
             continue
         faults = {r.label: speaks_against(r, results) for r in alike}
         # where errors against tosses are known: among those that cannot be told apart from the most accurate
@@ -110,9 +112,16 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
             first,
             second,
             tuple((s, faults[s.result.label]) for s in wrong if first is None or s.fps > first.fps),
-            tuple((r.label, r.timed.said) for r, window in zip(found, windows, strict=True) if window != usual),
             tuple(line for line in timed.remarks(s.result for s in sound[:2]) if line != timed.LEGEND),
         )
+
+
+def _comparable(results: Sequence[GroupResult]) -> list[GroupResult]:
+    alike: dict[Hashable, list[GroupResult]] = {}
+    for result in results:
+        alike.setdefault(window_key(result.group.key, result.timed), []).append(result)
+    several = [found for found in alike.values() if len({r.group.key.simulator for r in found}) > 1]
+    return max(several, key=lambda found: (not deciding(found[0].group.key.settings), len(found)), default=[])
 
 
 def _kind(result: GroupResult, reason: str, results: Sequence[GroupResult]) -> str:

@@ -15,6 +15,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.groups import GroupKey
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.permutation import ALPHA, p_value, ranges_of
+from gpusimbench.schemas.configuration import deciding
 
 SHORT_S = 1.0
 """A timed phase below this [s] is marked: a pause of the system or a change of clocks is a large part of it."""
@@ -88,8 +89,12 @@ def timed_work(key: GroupKey, runs: Sequence[Run], unmet: Unmet) -> TimedWork:
 
 
 def window_key(key: GroupKey, work: TimedWork) -> Hashable:
-    """What throughputs of one scene have to share to be compared: the timed steps, and how long a step is [s]."""
-    return work.windows, key.dt
+    """What throughputs of one scene have to share to be compared.
+
+    The timed steps, the scene's description, how long a step is [s], and the settings that states depend on, such as
+    how environments begin.
+    """
+    return work.windows, key.scene_hash, key.dt, deciding(key.settings)
 
 
 def most_common(windows: Sequence[Hashable]) -> Hashable:

@@ -6,6 +6,7 @@ import io
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import DEMANDED
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
-from gpusimbench.schemas.provenance import OverflowBit
+from gpusimbench.schemas.provenance import PROVENANCE, OverflowBit
 from tests.synthetic import Shown, grid, write_recording, write_sweep
 
 
@@ -143,13 +144,30 @@ def test_nobody_is_named_where_all_are_wrong(tmp_path: Path) -> None:
 
 
 def test_other_timed_steps_are_not_ranked(tmp_path: Path) -> None:
-    """Rank among the steps that most were timed over, and name the others beside it."""
+    """Rank among the steps that most were timed over."""
     for simulator, warmup, seconds in (("a", 100, 2.0), ("b", 100, 3.0), ("quick", 20, 0.1)):
         write_recording(tmp_path, grid(2), simulator=simulator, warmup=warmup, elapsed_s=seconds, proven=True)
     (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
     assert found.first is not None and found.second is not None  # noqa: PT018
     assert (found.first.result.label, found.second.result.label) == ("a", "b")
-    assert found.otherwise == (("quick", "steps 20 to 1,020"),)
+    assert not found.faster
+
+
+def test_varied_environments_are_not_ranked(tmp_path: Path) -> None:
+    """Rank environments of the scene alone, whatever the number of others."""
+
+    def varied(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["configuration"]["vary"] = "mass:0.1"
+
+    for simulator, seconds in (("a", 2.0), ("b", 3.0)):
+        write_recording(tmp_path, grid(2), simulator=simulator, elapsed_s=seconds, proven=True)
+    for simulator in ("quick", "b", "c"):
+        write_recording(tmp_path, grid(2), simulator=simulator, elapsed_s=0.1, proven=True, change=varied)
+    (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
+    assert found.first is not None and found.second is not None  # noqa: PT018
+    assert (found.first.result.label, found.second.result.label) == ("a", "b")
+    assert not found.faster
 
 
 def test_an_idle_world_is_not_the_fastest(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from gpusimbench.evaluator.render.templating import script
 from gpusimbench.evaluator.share.dataset import contents
 from gpusimbench.evaluator.share.leaderboard.make import gather
 from gpusimbench.schemas.errors import ExitCode
-from gpusimbench.schemas.provenance import ReplayOf
+from gpusimbench.schemas.provenance import PROVENANCE, ReplayOf
 from tests.conftest import call
 from tests.evaluator.test_share_card import HOSTILE
 from tests.synthetic import grid, write_recording, write_sweep
@@ -69,6 +69,21 @@ def test_places_are_by_throughput_within_scene_and_device(runs: Path, tmp_path: 
     assert places == {
         ("fast", "slow"): [1, 2], ("elsewhere",): [1], ("other-scene",): [1], ("other-step",): [1],
     }  # fmt: skip
+
+
+def test_places_of_other_settings(runs: Path, tmp_path: Path) -> None:
+    """Rank environments that differ in their parameters among themselves, and say so."""
+
+    def varied(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["configuration"]["vary"] = "mass:0.1"
+
+    write(runs, simulator="slow", elapsed_s=2.0)
+    write(runs, simulator="varied", elapsed_s=1.0, change=varied)
+    document = made(tmp_path, runs)
+    found = [(s["settings"], [row["simulator"] for row in s["rows"]]) for s in document["sections"]]
+    assert found == [({}, ["slow"]), ({"vary": "mass:0.1"}, ["varied"])]
+    assert "mass:0.1" in (tmp_path / "board" / "index.html").read_text()
 
 
 def test_places_that_may_be_one(runs: Path, tmp_path: Path) -> None:

@@ -150,8 +150,9 @@ def _section(number: int, section: Section) -> Part:
 
 
 def _heading(section: Section) -> str:
-    """Scene, device and timed steps: sections of one scene and device differ by these alone."""
-    return ", ".join(part for part in (f"{section.scene} on {section.device}", section.timed) if part)
+    """Scene, device, settings and timed steps: sections of one scene and device differ by the last two."""
+    where = f"{section.scene} on {section.device}"
+    return ", ".join(part for part in (where, section.treatment, section.timed) if part)
 
 
 def _timed_over(section: Section) -> str:

@@ -27,9 +27,9 @@ _LONGEST = 100
 _YES_OR_NO = re.compile(r"^found (yes|no) ")
 
 COLUMNS = (
-    "scene", "device", "dt", "place", "simulator", "version", "determinism", "label", "n_env", "runs", "recordings",
-    "fps", "fps_sd", "fps_low", "fps_high", "memory", "memory_unit", "n_env_max", "distinct_envs", "distinct_runs",
-    "type", "check", "reproduced", "replays", "gates", "place_missing", "content_hashes",
+    "scene", "device", "dt", "settings", "place", "simulator", "version", "determinism", "label", "n_env", "runs",
+    "recordings", "fps", "fps_sd", "fps_low", "fps_high", "memory", "memory_unit", "n_env_max", "distinct_envs",
+    "distinct_runs", "type", "check", "reproduced", "replays", "gates", "place_missing", "content_hashes",
     *(column.title for column in timed.ALL),
 )  # fmt: skip
 
@@ -41,8 +41,7 @@ def leaderboard_lines(board: Board) -> Iterator[str]:
     """The first of each section, and how many stand behind."""
     for section in board.sections:
         where = f"{section.scene} on {section.device or 'a device that was never told'}, dt {section.dt:g} s"
-        if section.timed:
-            where += f", {section.timed}"
+        where = ", ".join(part for part in (where, section.treatment, section.timed) if part)
         if section.ranked:
             first = section.ranked[0]
             fps = ranked(first.fps)
@@ -142,8 +141,8 @@ def _values(section: Section, row: Row) -> tuple[Cell, ...]:
     key, metrics = row.key, row.result.metrics
     low, high = row.fps.ci95 or (None, None)
     return (
-        section.scene, section.device, section.dt, row.place, key.simulator, key.version, key.determinism,
-        row.result.label, key.n_env, len(row.result.group.complete), len(row.entries),
+        section.scene, section.device, section.dt, section.treatment, row.place, key.simulator, key.version,
+        key.determinism, row.result.label, key.n_env, len(row.result.group.complete), len(row.entries),
         known(row.fps.value), row.fps.sd, low, high, known(row.memory.value), row.memory.unit,
         row.sweep.n_max if row.sweep else None,
         *(known(metrics[name].value) for name in ("distinct_envs", "distinct_runs", "regime_published")),
@@ -174,6 +173,7 @@ def _section(section: Section) -> dict[str, Any]:
         "scene_sha256": section.scene_hash,
         "device": section.device,
         "dt": section.dt,
+        "settings": dict(section.settings),
         "timed": section.timed,
         "rows": [_row(row) for row in section.rows],
     }

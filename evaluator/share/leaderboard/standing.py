@@ -21,6 +21,7 @@ from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, shown_sta
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.contents import BROKEN, Checkup
 from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reproduction, reproduction
+from gpusimbench.schemas.configuration import TELLING, Settings, deciding
 from gpusimbench.schemas.errors import ExitCode
 
 ELSEWHERE = "the same engine elsewhere"
@@ -96,6 +97,7 @@ class Section:
 
     scene_hash  of its description
     dt          [s]
+    settings    that states depend on, such as how environments begin; empty: as the scene says
     rows        those with a place in their order, then the others
     """
 
@@ -103,7 +105,13 @@ class Section:
     scene_hash: str
     device: str
     dt: float
+    settings: Settings
     rows: tuple[Row, ...]
+
+    @property
+    def treatment(self) -> str:
+        """The settings in words; empty where environments begin and stay as the scene says."""
+        return ", ".join(f"{TELLING[name].title} {TELLING[name].words(value)}" for name, value in self.settings)
 
     @property
     def timed(self) -> str:
@@ -129,7 +137,7 @@ class Section:
 def sections(
     evaluation: Evaluation, checkups: Mapping[str, Checkup], replays: Mapping[str, tuple[Replay, ...]]
 ) -> tuple[Section, ...]:
-    """The groups of an evaluation as sections, by scene, device and timed steps.
+    """The groups of an evaluation as sections, by scene, device, settings that states depend on, and timed steps.
 
     A group without a throughput stands in the first section of its scene and device.
 
@@ -142,14 +150,14 @@ def sections(
         for point in sweep.points
         for result in (point.result, *point.others)
     }
-    found: dict[tuple[str, str, str, float], list[Row]] = {}
+    found: dict[tuple[str, str, str, float, Settings], list[Row]] = {}
     for result in evaluation.results:
         key = result.group.key
         row = _row(result, evaluation.results, checkups, replays, swept.get(result.label))
-        found.setdefault((key.scene, key.device, key.scene_hash, key.dt), []).append(row)
+        found.setdefault((key.scene, key.device, key.scene_hash, key.dt, deciding(key.settings)), []).append(row)
     return tuple(
-        Section(scene, scene_hash, device, dt, _placed(rows))
-        for (scene, device, scene_hash, dt), everything in sorted(found.items())
+        Section(scene, scene_hash, device, dt, settings, _placed(rows))
+        for (scene, device, scene_hash, dt, settings), everything in sorted(found.items())
         for rows in _by_window(everything)
     )
 
