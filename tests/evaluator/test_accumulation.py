@@ -39,6 +39,7 @@ def test_noise_of_one_size_stays(tmp_path: Path) -> None:
     assert raw[2] < 0.6 * raw[0]
 
 
+@pytest.mark.slow
 def test_noise_that_grows_is_seen(tmp_path: Path) -> None:
     """Find more at larger N where it is there."""
     (found,) = evaluate_files(sweep(tmp_path, {4: 0.0, 8: 0.001, 16: 0.01})).accumulation

@@ -468,6 +468,7 @@ def nearly(path: Path, seed: int | None, n_env: int = 8, task: type[Nearly] = Ne
     return path
 
 
+@pytest.mark.slow
 def test_nearly_equal_runs_of_a_seed_are_one_cluster(tmp_path: Path) -> None:
     """Average runs of one seed by environment: ten runs a side make no difference of two seeds certain."""
     sides = [[nearly(tmp_path / f"{seed}-{run}.mcap", seed) for run in range(10)] for seed in (600, 800)]

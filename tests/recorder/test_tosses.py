@@ -227,6 +227,7 @@ def test_scene_says_what_is_not_known(gsb_record: Command, tmp_path: Path) -> No
     assert json.loads(Recording(path).attachment("scene.json") or b"{}")["parameters"] == {"restitution_known": False}
 
 
+@pytest.mark.slow
 def test_another_friction(gsb_record: Command, tmp_path: Path) -> None:
     """Simulate another friction as another scene; the published value leaves the scene as it is, to the byte."""
     run = ("--sim", "mujoco", "--scene", "cube-toss", "--n-env", "2", "--runs", "1", "--steps", "60", "--phases")
