@@ -231,6 +231,13 @@ def test_links_lead_somewhere(document: Path) -> None:
             assert (document.parent / target).exists(), f"{document.name}: {target}"
 
 
+def test_the_index_has_every_page() -> None:
+    """List each page of the folder, as the heading of its list says."""
+    folder = ROOT / "docs"
+    named = set(re.findall(r"\]\(([^)#]+)", (folder / "index.md").read_text(encoding="utf-8")))
+    assert {page.relative_to(folder).as_posix() for page in folder.rglob("*.md")} - named == {"index.md"}
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 def test_make_demo(tmp_path: Path) -> None:

@@ -308,7 +308,8 @@ def _notes(
         notes.append(f"states were recorded at every {told} step only; in between, the last recorded state is shown")
     if any(len(track.steps) < len(rows[track.recording]) for track in tracks):
         kept = ", ".join(dict.fromkeys(f"{len(t.steps)} of {len(rows[t.recording])}" for t in tracks))
-        near = ", and all of them around the first divergence" if seen and seen.first_divergence is not None else ""
+        diverge = seen is not None and seen.first_divergence is not None
+        near = ", among them every state around the first divergence" if diverge else ""
         notes.append(f"this page has {kept} recorded states{near}")
     if around.left_out:
         notes.append(f"{around.left_out} shapes of the scene are not drawn: there are too many")

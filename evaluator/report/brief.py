@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -17,7 +16,7 @@ from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sen
 from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.sections.episodes import counts_of, mean_of
 from gpusimbench.evaluator.report.sections.scaling import sentence as sweep_sentence
-from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, usual
+from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, meaning_of_cm, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -43,8 +42,6 @@ _PLACE = ("scene", "device")
 
 _TASKS = "Success rate and return with intervals: gsb-episodes{}. First difference of two recordings: gsb-diff A B."
 _ACROSS = ", by number of environments with --across n_env"
-
-_W1 = "W1, the mean distance by which bodies must be moved to turn one outcome into another"
 
 MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."
 
@@ -154,10 +151,10 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
                 _text(_fps(result)),
             ]
         )
-    for place, rows in tables.items():
-        shown = table("groups", place, titles, rows)
-        yield shown.without_empty_columns() if several else shown
-    if said := _signs([row for rows in tables.values() for row in rows], results):
+    made = [table("groups", place, titles, rows) for place, rows in tables.items()]
+    made = [one.without_empty_columns() for one in made] if several else made
+    yield from made
+    if said := _signs([row.cells for one in made for row in one.rows], results):
         yield Text(said, Tone.QUIET)
     if said := _behind_a_yes(results):
         yield Text(said, Tone.QUIET)
@@ -171,7 +168,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:
-        yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings, named=_QUESTIONS)}")
+        answers = verdict_of(asked.findings, named=_QUESTIONS)
+        yield Text(f"questions of gsb-probe, {name_of(asked.arms)}: {answers}")
     for sweep in evaluation.sweeps:
         if sweep.long and sweep.measured:
             yield Text(sweep_sentence(sweep))
@@ -192,11 +190,9 @@ def _incomplete(results: Sequence[GroupResult]) -> Iterator[str]:
 def _signs(rows: Sequence[Sequence[Cell | str]], results: Sequence[GroupResult]) -> str:
     """What the signs in these rows of the table mean; empty where it has none."""
     shown = [cell.text if isinstance(cell, Cell) else cell for row in rows for cell in row]
-    # without W1, cm are those of sliding joints
-    w1 = any(known(r.metrics[metric.name].value) for r in results for metric in (W1_PARALLEL, W1_RUN_TO_RUN))
     meanings = (
         (NONE in shown, f"{NONE}: not known or not reported"),
-        (w1 and any(re.fullmatch(r"no, .* cm", said) for said in shown), f"cm: {_W1}"),
+        (bool(centimetres := meaning_of_cm(shown, results)), centimetres),
         (any(said.endswith(" x 0") for said in shown), "x 0: no complete run"),
     )
     return "; ".join(meaning for there, meaning in meanings if there)
@@ -254,12 +250,16 @@ def _troubles(evaluation: Evaluation) -> Iterator[Text]:
 
 def _joined(said: Cell) -> Cell:
     """A verdict and what stands below it on one line."""
-    first = f"{said.text} {said.range}".rstrip()
-    return Cell(": ".join([first, *(["; ".join(said.notes)] if said.notes else [])]), tone=said.tone)
+    return Cell(": ".join([_with_interval(said), *(["; ".join(said.notes)] if said.notes else [])]), tone=said.tone)
 
 
 def _line(said: Cell) -> Cell:
-    return Cell(f"{said.text} {said.range}".rstrip(), tone=said.tone)
+    return Cell(_with_interval(said), tone=said.tone)
+
+
+def _with_interval(said: Cell) -> str:
+    """The text with its interval by name: there is no heading here that tells what brackets are."""
+    return f"{said.text}, 95 % interval {said.range}" if said.range else said.text
 
 
 def _fps(result: GroupResult) -> Cell:

@@ -76,8 +76,8 @@ NOT_COMPARABLE = "NOT comparable by throughput"
 """How the line on rows that were timed over other steps begins."""
 
 TOO_SHORT = (
-    f"timed too briefly for {PROTOCOL}: less than {SHORT_S:g} s, or too few steps; record with more --timed-steps or "
-    "--n-env"
+    f"timed too briefly: less than {SHORT_S:g} s, or fewer steps than {PROTOCOL} asks for; record with more "
+    "--timed-steps or --n-env"
 )
 """What a sign beside a throughput means."""
 

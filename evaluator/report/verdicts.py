@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.missing import Missing, known
@@ -91,6 +92,14 @@ def repeats(results: Results) -> Cell:
 def alike(results: Results) -> Cell:
     """Whether all environments of a run have the same bits."""
     return _identity(results, DISTINCT_ENVS, (W1_PARALLEL, *BETWEEN_ENVS), "envs")
+
+
+def meaning_of_cm(shown: Iterable[str], results: Results) -> str:
+    """What the centimetres of these answers are; empty where none has a W1: those of sliding joints are no W1."""
+    if not any(known(r.metrics[metric.name].value) for r in results for metric in (W1_PARALLEL, W1_RUN_TO_RUN)):
+        return ""
+    there = any(re.fullmatch(r"no, .* cm", said) for said in shown)
+    return "cm: W1, the mean distance by which bodies must be moved to turn one outcome into another" if there else ""
 
 
 def valid(results: Results) -> Cell:

@@ -17,6 +17,7 @@ from gpusimbench.evaluator.inputs.sample_time import notes_on, read_sampled
 from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import arms_of
+from gpusimbench.evaluator.probe.finding import Answer
 from gpusimbench.evaluator.probe.questions import Probed, answers
 from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.read.recording import Recording
@@ -166,7 +167,8 @@ def _probed(runs: Sequence[Run]) -> tuple[Probed, ...]:
     """What results depend on, of configurations of which some run was treated; states are read again."""
     treated = {_configuration(run) for run in runs if run.configuration.initial or run.configuration.intervention}
     among = arms_of([Recording(run.path) for run in runs if _configuration(run) in treated])
-    return tuple(Probed(arms, answers(arms)) for arms in among if arms.varied or arms.treated)
+    probed = (Probed(arms, answers(arms)) for arms in among if arms.varied or arms.treated)
+    return tuple(one for one in probed if any(found.answer is not Answer.NOT_ASKED for found in one.findings))
 
 
 def _configuration(run: Run) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ class Evaluation:
     notes        about the set as a whole
     shorter      by scene, the time at which positions are compared instead of `sample_time` [s]: no recording of the
                  scene is as long
-    probed       what results depend on, of configurations of which runs were treated as gsb-probe does
+    probed       what results depend on, of configurations whose runs answer a question of gsb-probe
     convergences  of groups that differ in the time step alone: how fast states approach those of the finest step
     """
 

@@ -78,6 +78,7 @@ def test_the_page_begins_with_them(tmp_path: Path) -> None:
     assert "What is wrong with this set: 2 runs of 8 failed, are INVALID or lost data" in plain
     assert "an instrument with known answers" in plain
     assert "The fastest valid simulator of each scene" in plain
+    assert "cm: W1, the mean distance by which bodies must be moved to turn one outcome into another" in plain
     terminal = io.StringIO()
     print_document(brief(evaluation), terminal)
     assert "Fastest valid simulator in inclined-collision on" in terminal.getvalue()

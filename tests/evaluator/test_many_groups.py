@@ -149,7 +149,7 @@ def test_one_simulator_alone_is_asked_for_by_name(source: Source, alone: Source)
     assert document.title == "Does one repeat itself, is it right, and how fast is it?"
     first = [block for block in document.blocks if not isinstance(block, Section)]
     (speeds,) = [block for block in walk(first) if isinstance(block, Facts)]
-    assert [name for name, _ in speeds.pairs] == ["throughput, inclined-collision [env-steps/s]"]
+    assert [name for name, _ in speeds.pairs] == ["highest throughput, inclined-collision [env-steps/s]"]
 
 
 def test_notes_of_several_runs_are_one_line() -> None:

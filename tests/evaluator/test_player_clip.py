@@ -82,7 +82,7 @@ def test_one_environment_stands_for_a_class(tmp_path: Path) -> None:
     assert 0 < clip.tracks[1].apart[-1] < 1e-15
     told = " ".join(sentences(clip))
     assert "first differ at step 40 (0.4 s); distinct: 2 from step 40, 3 from step 60." in told
-    assert "of 101 recorded states, and all of them around the first divergence." in told
+    assert "of 101 recorded states, among them every state around the first divergence." in told
 
 
 def test_equal_environments_share_their_poses(tmp_path: Path) -> None:

@@ -482,6 +482,16 @@ def test_what_results_depend_on_is_reported(evaluated: Evaluation) -> None:
     assert [probe["simulator"] for probe in to_json(evaluated)["probes"]] == ["mjx", "newton"]
 
 
+def test_a_run_that_answers_no_question_is_no_probe(tmp_path: Path) -> None:
+    """Say nothing of gsb-probe of one run with drawn initial states, as laws in closed form are recorded."""
+    path = _write(tmp_path, next(arm for arm in ARMS if arm.initial)).path
+    found = evaluate_files([place(str(path))])
+    assert found.probed == ()
+    stream = io.StringIO()
+    print_document(brief(found), stream)
+    assert "gsb-probe" not in stream.getvalue()
+
+
 def test_a_simulator_that_was_not_probed() -> None:
     """Leave a question open, and one that was not asked, apart from an answer."""
     assert depends([], "number").text == "not asked"

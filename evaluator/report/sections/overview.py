@@ -28,7 +28,15 @@ from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, not_ra
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.timed import TOO_SHORT
-from gpusimbench.evaluator.report.verdicts import LAWS, NOT_COMPARED, QUESTIONS, TO_REFERENCE, judged, usual
+from gpusimbench.evaluator.report.verdicts import (
+    LAWS,
+    NOT_COMPARED,
+    QUESTIONS,
+    TO_REFERENCE,
+    judged,
+    meaning_of_cm,
+    usual,
+)
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
@@ -107,6 +115,8 @@ def _matrix(evaluation: Evaluation) -> Iterator[Block]:
         rows=tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in matrix.rows),
         compact=len(rows) > _ROOMY,
     )
+    if said := meaning_of_cm((cell.text for row in matrix.rows for cell in row.cells), evaluation.results):
+        yield Text(said, Tone.QUIET)
     if unasked:
         yield Text(f"Not compared: {'; '.join(_unasked(matrix, i) for i in unasked)}.", Tone.QUIET)
 
@@ -182,23 +192,31 @@ def _speed_alone(results: Sequence[GroupResult], found: Sequence[Fastest]) -> It
     """The highest throughput of each simulator in each scene where it is compared with no other."""
     compared = {(one.scene, one.device) for one in found}
     names = {r.group.key.simulator for r in results}
-    best: dict[tuple[str, str], GroupResult] = {}
+    timed: dict[tuple[str, str], list[GroupResult]] = {}
     for result in results:
         key = result.group.key
         if (key.scene, key.device) in compared or (len(names) > 1 and is_instrument(key)):
             continue
-        speed, before = ranked_throughput(result.metrics[FPS.name]), best.get((key.scene, key.simulator))
-        if speed > (ranked_throughput(before.metrics[FPS.name]) if before else 0.0):
-            best[key.scene, key.simulator] = result
-    if best:
-        yield facts(*((f"throughput, {scene} [{FPS.unit}]", _speed(result)) for (scene, _), result in best.items()))
+        if ranked_throughput(result.metrics[FPS.name]) > 0.0:
+            timed.setdefault((key.scene, key.simulator), []).append(result)
+    if timed:
+        yield facts(
+            *(
+                (
+                    f"{'highest throughput' if len(those) > 1 else 'throughput'}, {scene} [{FPS.unit}]",
+                    _speed(max(those, key=lambda result: ranked_throughput(result.metrics[FPS.name]))),
+                )
+                for (scene, _), those in timed.items()
+            )
+        )
 
 
 def _speed(result: GroupResult) -> Cell:
     said = ranked(result.metrics[FPS.name])
     brief = (TOO_SHORT,) if result.timed.unreliable else ()
     named = f"{result.label}, {plural(result.group.key.n_env, 'env', spec=',')}"
-    return replace(said, notes=(named, *said.notes, *brief))
+    bounds = said.range and f"95 % interval {said.range}"
+    return replace(said, range=bounds, notes=(named, *said.notes, *brief))
 
 
 def _where(found: Fastest) -> Cell:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Scope, load_rules
 from gpusimbench.evaluator.render.document import Block, Cell, Item, Items, Row, Section, Text, Tone, table
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -24,9 +24,12 @@ def section(source: Source) -> Section | None:
             table("problems", "Files that are in no figure, or that lost data", ["file", "what is wrong", "why"], rows)
         )
     if evaluation.unmet.count:
-        blocks.append(Text(f"Rules of {PROTOCOL} that are not met (gsb-check --protocol names the files):"))
+        rules = {rule.id: rule for rule in load_rules(PROTOCOL).rules}
+        unmet = [rules[name] for name in evaluation.unmet.findings if name in rules]
+        point = f"; a point: {Scope.point.value}" if any(rule.of is Scope.point for rule in unmet) else ""
+        blocks.append(Text(f"Rules of {PROTOCOL} that are not met (gsb-check --protocol names the files{point}):"))
         found = sorted(evaluation.unmet.findings.items(), key=lambda one: (-one[1], one[0]))
-        advice = {rule.id: f"{rule.broken} Fix: {rule.do}" for rule in load_rules(PROTOCOL).rules}
+        advice = {rule.id: f"{rule.broken} Fix: {rule.do}" for rule in unmet}
         said = (f"{rule}, {plural(count, 'finding')}: {advice.get(rule, '')}" for rule, count in found)
         blocks.append(Items(tuple(map(Item, said))))
     notes = [(note, "") for note in evaluation.notes] + [(note, label) for label, note in _notes(evaluation)]

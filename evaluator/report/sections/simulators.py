@@ -90,4 +90,5 @@ def _facts(results: Sequence[GroupResult]) -> Facts:
 
 
 def _listed(values: Iterator[str] | Sequence[str]) -> str:
-    return ", ".join(dict.fromkeys(value or "not stated" for value in values))
+    # a device's name has commas of its own
+    return "; ".join(dict.fromkeys(value or "not stated" for value in values))
