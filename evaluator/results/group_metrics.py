@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.metrics.alignment import GapTo
 from gpusimbench.evaluator.metrics.lost_cubes import left_board
 from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
 from gpusimbench.evaluator.metrics.variability import (
     CM_PER_M,
     MATRIX_ENVS,
     SAMPLED_ENVS,
+    GapTo,
     ParallelVariability,
     parallel_variability,
     run_to_run_variability,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gpusimbench.evaluator.metrics.alignment import sim_to_real_gap
+from gpusimbench.evaluator.metrics.variability import sim_to_real_gap
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.statistics.ratio import ratio_of_means
+from gpusimbench.evaluator.statistics.jackknife import ratio_of_means
 
 POSITIVE = st.lists(st.floats(0.1, 10.0), min_size=3, max_size=6)
 
