@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from benchmarks.arguments import parser
-from gpusimbench.evaluator.compare.compare import compare
+from gpusimbench.evaluator.compare.compare import Side, compare
 from gpusimbench.evaluator.compare.finding import DEFAULT_GATES, Settings
-from gpusimbench.evaluator.compare.sides import Side
 from gpusimbench.evaluator.compute.work import HERE
 from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.metrics.memory import Checkpoints

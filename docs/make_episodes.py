@@ -21,8 +21,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.episodes.outcome import Outcome, outcome
 from gpusimbench.evaluator.episodes.side import Choice, choose, read_side
 from gpusimbench.evaluator.episodes.success import At
-from gpusimbench.evaluator.statistics.cases import mean_interval, resampled
-from gpusimbench.evaluator.statistics.rates import rate_interval, wilson
+from gpusimbench.evaluator.statistics.cases import mean_interval, rate_interval, resampled, wilson
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "how-to" / "evaluate-a-policy.md"

@@ -15,7 +15,7 @@ from gpusimbench.evaluator.render.figures import palette, style
 from gpusimbench.evaluator.render.figures.svg import text
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.replays.comparison import compare
 from gpusimbench.evaluator.replays.document import verdict as sentence
 from gpusimbench.evaluator.replays.document import warnings
 from gpusimbench.evaluator.replays.verdict import Verdict, judge
-from gpusimbench.evaluator.statistics.rates import wilson
+from gpusimbench.evaluator.statistics.cases import wilson
 from gpusimbench.recorder.vector.open_loop import replay
 from gpusimbench.recorder.vector.part import Part
 from gpusimbench.replay.origin import given, origin_of

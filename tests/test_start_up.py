@@ -53,7 +53,6 @@ def test_help_imports_nothing_heavy(module: str) -> None:
     "module",
     [
         "gpusimbench.evaluator.results.evaluate",
-        "gpusimbench.evaluator.report.html",
         "gpusimbench.evaluator.report.document",
         "gpusimbench.evaluator.compare.compare",
     ],

@@ -186,10 +186,9 @@ def _run_sets(arguments: argparse.Namespace, settings: Settings, command: str) -
         raise UsageError("--html needs --history; for two sets, use --markdown or --json")
     base, head = _given(arguments)
 
-    from gpusimbench.evaluator.compare.compare import compare
+    from gpusimbench.evaluator.compare.compare import compare, read_sides
     from gpusimbench.evaluator.compare.document import comment, dump_json, full, short
     from gpusimbench.evaluator.compare.junit import junit
-    from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.render.markdown import render_markdown
 

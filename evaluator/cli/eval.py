@@ -191,7 +191,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         said = f"figures: {count} in {arguments.figures}, listed in {written[-1]}"
         show(line(said), error=arguments.json == "-")
     if arguments.html:
-        from gpusimbench.evaluator.report.html import write_html
+        from gpusimbench.evaluator.report.document import write_html
 
         with stage("writing the report"):
             page = write_html(evaluation, arguments.html, published=arguments.published, command=command)

@@ -21,7 +21,7 @@ from gpusimbench.evaluator.results.metric import Axis, Direction, Metric, each
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.exchange import Shift, compare_means, least_p
-from gpusimbench.evaluator.statistics.ratio import mean_of
+from gpusimbench.evaluator.statistics.jackknife import mean_of
 
 _UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _SHOWN = 24

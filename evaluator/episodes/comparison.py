@@ -16,12 +16,12 @@ from gpusimbench.evaluator.statistics.cases import (
     PERMUTATIONS,
     ends_of,
     in_proportion,
+    mcnemar,
     paired,
     resampled,
     standard_error,
 )
 from gpusimbench.evaluator.statistics.families import holm
-from gpusimbench.evaluator.statistics.rates import mcnemar
 
 LEVEL = 0.05
 

@@ -15,12 +15,14 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.episodes import EpisodeTable
 from gpusimbench.evaluator.statistics.cases import (
     FEWEST,
+    interquartile_mean,
     interval_over_cases,
     least_shown,
     mean_interval,
+    rate_interval,
+    rows_differ,
     standard_error,
 )
-from gpusimbench.evaluator.statistics.rates import interquartile_mean, rate_interval, rows_differ
 
 POWER = 0.8
 """Of the smallest differences that are printed."""

@@ -60,8 +60,6 @@ class Verdict:
     worst       None where nothing differs, and where a number is not finite
     worst_ulp   largest difference in ULP, which may be another body's than the worst; None where a number is not finite
     resolution  what storing one place twice can make of it [m]; None where bits were compared
-    n_sample    samples
-    n_distinct  of other bits; None where bits cannot be compared
     note        what a reader must see beside the level; may be empty
     order       what is in another order where the level is EQUAL_UP_TO_ORDER: "bodies", "environments" or
                 "environments and bodies"; empty elsewhere
@@ -73,8 +71,6 @@ class Verdict:
     worst: Worst | None
     worst_ulp: float | None
     resolution: float | None
-    n_sample: int
-    n_distinct: int | None
     note: str
     order: str = ""
 
@@ -143,7 +139,7 @@ def verdict(
         level, note = Level.DIFFERENT, _joined(note, "some positions are not finite")
     else:
         level = _by_size(_difference(worst), worst_ulp, max_ulp, tolerance)
-    return Verdict(level, max_ulp, tolerance, worst, worst_ulp, None, len(samples), n_distinct, note, order)
+    return Verdict(level, max_ulp, tolerance, worst, worst_ulp, None, note, order)
 
 
 def _beside_origins(
@@ -152,7 +148,7 @@ def _beside_origins(
     worst, worst_ulp = _worst(samples.astype(np.float64) - origins[:, np.newaxis, np.newaxis, :], samples)
     if worst_ulp is None:
         note = "some positions are not finite"
-        return Verdict(Level.DIFFERENT, max_ulp, tolerance, None, None, None, len(samples), None, note)
+        return Verdict(Level.DIFFERENT, max_ulp, tolerance, None, None, None, note)
     resolution = float(np.spacing(np.abs(samples).max()))
     # each of two numbers is off by half a spacing, and the origins' own sums in float64 by next to nothing
     limit = max(tolerance, resolution)
@@ -163,7 +159,7 @@ def _beside_origins(
     if _difference(worst) <= resolution:
         note += "; all differences are below that"
     level = Level.WITHIN_TOLERANCE if _difference(worst) <= limit else Level.DIFFERENT
-    return Verdict(level, max_ulp, limit, worst, worst_ulp, resolution, len(samples), None, note)
+    return Verdict(level, max_ulp, limit, worst, worst_ulp, resolution, note)
 
 
 def _by_size(difference: float, worst_ulp: float, max_ulp: float, tolerance: float) -> Level:

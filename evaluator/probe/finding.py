@@ -51,9 +51,6 @@ class Asked(NamedTuple):
     detail: str = ""
 
 
-_NONE_ASKED = "no question of gsb-probe has the runs that it compares"
-
-
 def verdict_of(findings: Sequence[Finding], *, named: int = 0) -> str:
     """One sentence: how many answers are yes, and which are no.
 

@@ -15,7 +15,6 @@ import jinja2
 from markupsafe import Markup, escape
 
 from gpusimbench import schemas
-from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.document import (
     NONE,
     Beside,
@@ -37,6 +36,7 @@ from gpusimbench.evaluator.render.document import (
     walk,
 )
 from gpusimbench.evaluator.render.figures import palette, style
+from gpusimbench.evaluator.render.table_files import to_csv
 from gpusimbench.evaluator.render.templating import policy, script
 from gpusimbench.schemas.text import printable
 

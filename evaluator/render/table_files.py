@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import StrEnum
 
-from gpusimbench.evaluator.render.csv import Cell as CsvCell
-from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.document import Cell, Document, Table
 from gpusimbench.evaluator.render.markdown import table_markdown
-from gpusimbench.schemas.text import printable
+from gpusimbench.schemas.text import line, printable
 
 _SPECIAL = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
@@ -142,3 +142,36 @@ def _joined(said: Cell) -> str:
 def _latex(cells: Sequence[str]) -> str:
     # the group in front: a bracket or a star would belong to the end of the line before
     return "{}" + " & ".join(map(escape, cells)) + r" \\"
+
+
+CsvCell = str | int | float | None
+"""None is an empty cell."""
+
+_FORMULA = tuple("=+-@\uff1d\uff0b\uff0d\uff20")  # the wide ones begin formulas in some spreadsheets too
+_DASH = "-"
+
+
+def to_csv(titles: Sequence[str], rows: Iterable[Sequence[CsvCell]]) -> str:
+    """A header and rows as CSV (RFC 4180), lines ending in CR LF.
+
+    Numbers are written so that reading them gives the same ones. Texts are a stranger's: one that begins as a formula
+    does gets an apostrophe in front, and line breaks in it become spaces.
+    """
+    written = io.StringIO()
+    writer = csv.writer(written, lineterminator="\r\n")
+    writer.writerow([_csv_text(title) for title in titles])
+    writer.writerows([_csv_cell(cell) for cell in row] for row in rows)
+    return written.getvalue()
+
+
+def _csv_cell(cell: CsvCell) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, str):
+        return _csv_text(cell)
+    return repr(float(cell)) if isinstance(cell, float) else str(int(cell))
+
+
+def _csv_text(text: str) -> str:
+    shown = line(" ".join(text.split()))
+    return f"'{shown}" if shown.startswith(_FORMULA) and shown != _DASH else shown

@@ -16,7 +16,7 @@ from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.read.episodes import Episode, EpisodeTable, episode_table, episodes, has_episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.replays.verdict import Judged, Verdict, judge
-from gpusimbench.evaluator.statistics.rates import wilson
+from gpusimbench.evaluator.statistics.cases import wilson
 from gpusimbench.schemas.errors import NothingComparable
 from gpusimbench.schemas.vector import DATA_SET
 

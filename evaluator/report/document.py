@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.player.playback import Playback, playback_of
 from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text, items
+from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.report.sections import (
     accumulation,
     canonical,
@@ -17,15 +20,12 @@ from gpusimbench.evaluator.report.sections import (
     deviations,
     divergence,
     episodes,
-    failing,
-    guidelines,
     mechanics,
     paper_tables,
     playback,
     probed,
     problems,
     provenance,
-    published,
     recordings,
     scaling,
     simulators,
@@ -36,11 +36,14 @@ from gpusimbench.evaluator.report.sections import (
 )
 from gpusimbench.evaluator.report.sections.overview import asked_of, overview
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.verdicts import usual
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.text import plural
+from gpusimbench.schemas.writing import write_files
 
 SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
     problems.section,
-    failing.section,
+    problems.failing,
     simulators.section,
     tosses.section,
     episodes.section,
@@ -59,10 +62,10 @@ SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
     divergence.section,
     determinism_cost.section,
     comparison.section,
-    guidelines.section,
+    comparison.guidelines,
     deviations.section,
     paper_tables.section,
-    published.section,
+    paper_tables.published_figures,
     provenance.section,
     recordings.section,
 )
@@ -112,3 +115,30 @@ def _made(source: Source, sections: Iterable[Callable[[Source], Section | Missin
         said = plural(len(left_out), "section")
         made.append(Section("left-out", "Left out", (items(*left_out),), said, folded=True))
     return made
+
+
+def write_html(evaluation: Evaluation, folder: Path, *, published: bool, command: str) -> Path:
+    """Write `index.html` into the folder, which is made where it is missing; returns the page's path.
+
+    States are read again from the recordings, for the player. GsbError where it cannot be written; an earlier page is
+    left as it was.
+    """
+    text = render_html(
+        evaluation,
+        published=published,
+        command=command,
+        playback=playback_of(usual(Source(evaluation, published, command).shown)),
+    )
+    page = folder / "index.html"
+    write_files({page: text})
+    return page
+
+
+def render_html(evaluation: Evaluation, *, published: bool, command: str, playback: Playback | None = None) -> str:
+    """The page's text.
+
+    published  whether the paper's figures are shown as well, marked as the paper's
+    command    that made the page, as a shell would take it
+    playback   environments in motion; None where the page is to have none
+    """
+    return render_page(report(Source(evaluation, published, command, playback)))

@@ -15,7 +15,7 @@ from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Facts, Table, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import scaled
-from gpusimbench.evaluator.report.sections.failing import counted, failing_table
+from gpusimbench.evaluator.report.sections.problems import counted, failing_table
 from gpusimbench.evaluator.results.timed_work import SHORT_S
 from gpusimbench.evaluator.runs.memory import described
 from gpusimbench.schemas import __version__

@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from gpusimbench.evaluator.render import table_files
-from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.document import Figure
 from gpusimbench.evaluator.render.figures import palette
 from gpusimbench.evaluator.render.figures.matrix import hatch
 from gpusimbench.evaluator.render.figures.style import standalone
+from gpusimbench.evaluator.render.table_files import to_csv
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation

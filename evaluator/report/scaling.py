@@ -9,11 +9,11 @@ from functools import partial
 from markupsafe import Markup
 
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.render.csv import Cell
 from gpusimbench.evaluator.render.document import Figure, Numbers, key_of
 from gpusimbench.evaluator.render.figures import lines
 from gpusimbench.evaluator.render.figures.scaling import Curve, Foreign, scaling_chart
 from gpusimbench.evaluator.render.numbers import scaled
+from gpusimbench.evaluator.render.table_files import CsvCell
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.cost_metrics import DEVICE_MEMORY, FPS, HOST_MEMORY, PROCESS_MEMORY
 from gpusimbench.evaluator.results.metric import Metric
@@ -98,7 +98,7 @@ def _chart(
     return Figure(value, "", Markup(svg) if svg else None, key, numbers, about)
 
 
-def _rows(sweep: Sweep, name: str) -> Iterator[tuple[Cell, ...]]:
+def _rows(sweep: Sweep, name: str) -> Iterator[tuple[CsvCell, ...]]:
     model = sweep.models.get(name)
     for point in sweep.points:
         metric = point.result.metrics[name]

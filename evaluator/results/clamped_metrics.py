@@ -12,7 +12,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, Details
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.group_runs import GroupRuns
-from gpusimbench.evaluator.results.metric import Estimate, Metric, missing
+from gpusimbench.evaluator.results.metric import Estimate, Metric
 
 SUFFIX = "_clamped"
 """Of the name: "w1_parallel_clamped" stands beside "w1_parallel"."""
@@ -23,12 +23,12 @@ _HOW = "; positions beside the board are put at its nearest edge"
 def _clamped(published: Metric) -> Metric:
     """The counterpart of a metric, which has its very value where no position is beside the board."""
 
-    def estimate(metric: Metric, group: GroupRuns) -> Estimate:
+    def estimate(metric: Metric, group: GroupRuns) -> Estimate | Missing:
         found, board = published.estimate(group), group.on_board
         if isinstance(found.value, Missing):
-            return missing(metric, found.value.reason)
+            return found.value
         if isinstance(board, Missing):
-            return missing(metric, board.reason)
+            return board
         beside = board.planar is not group.planar or (published is W1_REAL and board.reference is not group.reference)
         if beside:
             found = published.estimate(board)

@@ -25,7 +25,7 @@ from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, each, missing, over_runs
 from gpusimbench.evaluator.results.timed_work import Speeds, speeds_of
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.evaluator.statistics.ratio import MIN_RUNS, ratio_of_means
+from gpusimbench.evaluator.statistics.jackknife import MIN_RUNS_A_SIDE, ratio_of_means
 from gpusimbench.schemas.text import plural
 
 _SLOWER = 0.95
@@ -75,7 +75,7 @@ def shown_slower(slower: Estimate, faster: Estimate) -> bool:
     if found.high is not None:
         return found.high < 1
     # of many runs, none differs from another of its side
-    many = min(len(of_slower), len(of_faster)) >= MIN_RUNS
+    many = min(len(of_slower), len(of_faster)) >= MIN_RUNS_A_SIDE
     return found.estimate < 1 if many else found.estimate <= _SLOWER
 
 

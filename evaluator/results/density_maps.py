@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import HexGrid, marginal
 from gpusimbench.evaluator.metrics.lost_cubes import Board
-from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.group_runs import Reference
 from gpusimbench.evaluator.results.result import Cloud, GroupResult, Map
 
 _BIN_M = 0.01  # half a cube's edge

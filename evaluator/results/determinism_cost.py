@@ -14,7 +14,7 @@ from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey, asked
-from gpusimbench.evaluator.statistics.ratio import ratio_of_means
+from gpusimbench.evaluator.statistics.jackknife import ratio_of_means
 
 DEFAULT = "default"
 """The level that an engine has where nobody asks for another."""

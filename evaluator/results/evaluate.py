@@ -28,11 +28,10 @@ from gpusimbench.evaluator.results.details import SunkCubes, Throughput
 from gpusimbench.evaluator.results.determinism_cost import price_list
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import fidelity
-from gpusimbench.evaluator.results.group_runs import GroupRuns, ends_early, left_out
+from gpusimbench.evaluator.results.group_runs import GroupRuns, Reference, ends_early, left_out
 from gpusimbench.evaluator.results.identity_metrics import identical_steps
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import compare
-from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map, RunSpread
 from gpusimbench.evaluator.results.sweeps import accumulations, find_sweeps
 from gpusimbench.evaluator.results.timed_work import timed_work

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.metrics.alignment import GapTo
 from gpusimbench.evaluator.metrics.lost_cubes import left_board
 from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
 from gpusimbench.evaluator.metrics.variability import (
     CM_PER_M,
     MATRIX_ENVS,
     SAMPLED_ENVS,
+    GapTo,
     ParallelVariability,
     parallel_variability,
     run_to_run_variability,
@@ -32,7 +32,7 @@ from gpusimbench.evaluator.results.details import (
     ToReference,
 )
 from gpusimbench.evaluator.results.group_runs import GroupRuns, no_positions
-from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, missing, over_runs
+from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, over_runs
 from gpusimbench.evaluator.statistics.floor import floor
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
 from gpusimbench.evaluator.statistics.regimes import (
@@ -73,10 +73,10 @@ def _parallel_values(group: GroupRuns) -> list[float | Missing]:
     return [next(per_run, none) if id(run) in used else none for run in group.runs]
 
 
-def _parallel(metric: Metric, group: GroupRuns) -> Estimate:
+def _parallel(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     found = _solved(group)
     if isinstance(found, Missing):
-        return missing(metric, found.reason)
+        return found
     drawn = [f for f in found if f.exactness == "sampled"]
     matrix = found[0].matrix_cm
     n_env = len(group.planar[0]) if not isinstance(group.planar, Missing) else 0
@@ -99,17 +99,17 @@ def _place(group: GroupRuns) -> int | Missing:
     return Missing("its states have no hashes") if found is None else found
 
 
-def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
+def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     planar = group.planar
     if isinstance(planar, Missing):
-        return missing(metric, planar.reason)
+        return planar
     runs = len(planar)
     if runs < 2:
-        return missing(metric, "needs at least two complete runs")
+        return Missing("needs at least two complete runs")
     try:
         found = run_to_run_variability(planar, group.work.map)
     except ValueError as error:  # more points than an exact distance can be computed for
-        return missing(metric, str(error))
+        return Missing(str(error))
     if found.matrix_cm is None:
         drawn = f"{found.n_pair} pairs of runs were drawn with seed {found.seed}"
         bounds: tuple[float, float] | Missing = Missing(drawn)
@@ -139,21 +139,21 @@ def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
     )
 
 
-def _to_reference(metric: Metric, group: GroupRuns) -> Estimate:
+def _to_reference(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     reference, planar = group.reference, group.planar
     if isinstance(reference, Missing):
-        return missing(metric, reference.reason)
+        return reference
     if isinstance(planar, Missing):
-        return missing(metric, planar.reason)
+        return planar
     if reference.scene != group.scene:
-        return missing(metric, f"the reference is of scene {reference.scene}")
+        return Missing(f"the reference is of scene {reference.scene}")
     if planar.shape[2] != reference.positions.shape[1]:
-        return missing(metric, f"the reference has {reference.positions.shape[1]} items, this group {planar.shape[2]}")
+        return Missing(f"the reference has {reference.positions.shape[1]} items, this group {planar.shape[2]}")
     distinct = {run.tobytes(): run for run in planar}
     try:
         gaps = dict(zip(distinct, group.work.map(GapTo(reference.positions), distinct.values()), strict=True))
     except ValueError as error:  # more points than an exact distance can be computed for
-        return missing(metric, str(error))
+        return Missing(str(error))
     found = [gaps[run.tobytes()] for run in planar]
     exact = all(f.exactness == "exact" for f in found)
     details = ToReference(
@@ -178,18 +178,18 @@ def _to_reference(metric: Metric, group: GroupRuns) -> Estimate:
     )  # fmt: skip
 
 
-def _left_board(metric: Metric, group: GroupRuns) -> Estimate:
+def _left_board(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     runs = group.at_sample
     if not runs:
-        return missing(metric, NO_RUN)
+        return Missing(NO_RUN)
     board = runs[0].board
     if board is None:
-        return missing(metric, "scene.json names no board (a fixed box) that bodies could leave")
+        return Missing("scene.json names no board (a fixed box) that bodies could leave")
     if why_not := no_positions(runs):
-        return missing(metric, why_not)
+        return Missing(why_not)
     spatial = [r.positions.spatial for r in runs if r.positions]
     if any(found is None for found in spatial):
-        return missing(metric, "heights were not recorded")
+        return Missing("heights were not recorded")
     left = [left_board(found, board) for found in spatial if found is not None]
     counts = tuple(int(np.count_nonzero(run)) for run in left)
     envs = sum(len(run) for run in left)
@@ -207,10 +207,10 @@ def _left_board(metric: Metric, group: GroupRuns) -> Estimate:
     )
 
 
-def _sank(metric: Metric, group: GroupRuns) -> Estimate:
+def _sank(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     found = [r.sunk for r in group.runs if r.sunk]
     if not found:
-        return missing(metric, why_missing(group.runs[0].sunk) if group.runs else NO_RUN)
+        return Missing(why_missing(group.runs[0].sunk) if group.runs else NO_RUN)
     counts = tuple(sum(s.per_env) for s in found)
     envs = sum(len(s.per_env) for s in found)
     return Estimate(
@@ -229,16 +229,16 @@ def _sank(metric: Metric, group: GroupRuns) -> Estimate:
     )
 
 
-def _regime(metric: Metric, group: GroupRuns) -> Estimate:
+def _regime(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     runs = group.at_sample
     resolution = CM_PER_M * max((r.equality.resolution or 0.0 for r in runs if r.equality), default=0.0)
     if resolution > PRESENT_FROM_CM:
         why = f"environments lie so far apart that positions are stored to {resolution:.2g} cm, coarser than 0.005 cm"
-        return missing(metric, why)
+        return Missing(why)
     parallel, between = W1_PARALLEL.estimate(group), W1_RUN_TO_RUN.estimate(group)
     for needed in (parallel, between):
         if isinstance(needed.value, Missing):
-            return missing(metric, f"{needed.name} could not be computed: {needed.value.reason}")
+            return Missing(f"{needed.name} could not be computed: {needed.value.reason}")
     assert not isinstance(parallel.value, Missing)
     assert not isinstance(between.value, Missing)
     per_run = parallel.of(OverRuns).per_run or ()

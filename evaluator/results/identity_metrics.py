@@ -42,15 +42,15 @@ def _no_hashes(runs: Runs) -> str:
     return "no states were captured" if runs else NO_RUN
 
 
-def _distinct_envs(metric: Metric, group: GroupRuns) -> Estimate:
+def _distinct_envs(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     runs = group.runs
     if why_not := _no_hashes(runs):
-        return missing(metric, why_not)
+        return Missing(why_not)
     if runs[0].apart_by_design:
-        return missing(metric, runs[0].apart_by_design)
+        return Missing(runs[0].apart_by_design)
     simulation = runs[0].simulation
     if simulation and len(set(simulation.env_origins)) > 1:
-        return missing(metric, "environments at different origins cannot be compared by bits")
+        return Missing("environments at different origins cannot be compared by bits")
     found = [r.histories for r in runs if r.histories]
     counts = tuple(h.n_distinct for h in found)
     return Estimate(
@@ -74,16 +74,16 @@ def _without_hashes(runs: Runs) -> int | None:
     return sum(not r.histories for r in runs) or None
 
 
-def _distinct_runs(metric: Metric, group: GroupRuns) -> Estimate:
+def _distinct_runs(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     runs = group.runs
     if why_not := _no_hashes(runs):
-        return missing(metric, why_not)
+        return Missing(why_not)
     found = [r.histories for r in runs if r.histories]
     if len(found) < 2:
-        return missing(metric, "needs at least two complete runs")
+        return Missing("needs at least two complete runs")
     both = side_by_side(found)
     if both is None:
-        return missing(metric, "the runs have no captured step in common")
+        return Missing("the runs have no captured step in common")
     steps, digests = both
     over_time = distinct_over_time(digests)
     apart = np.flatnonzero(over_time.instant > 1)
@@ -145,16 +145,14 @@ def comparable(run: Run) -> tuple[Any, ...]:
     return (str(scene), c.n_env, c.dt, seed, deciding(c.settings), run.fields)
 
 
-def _capture_effect(metric: Metric, group: GroupRuns) -> Estimate:
+def _capture_effect(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     """In how many runs the states differ between the timed phase, which nothing observes, and the capture phase.
 
     Only of an engine that repeats itself, bit for bit, is such a difference the doing of the capture.
     """
     observed = [r.observed for r in group.runs if not isinstance(r.observed, Missing)]
     if not observed:
-        return missing(
-            metric, "no step was passed by both the timed and the capture phase" if group.runs else NO_RUN
-        )  # fmt: skip
+        return Missing("no step was passed by both the timed and the capture phase" if group.runs else NO_RUN)
     changed, of = sum(observed), len(observed)
     runs = DISTINCT_RUNS.estimate(group)
     if changed and runs.value != 1:
@@ -172,33 +170,33 @@ def _capture_effect(metric: Metric, group: GroupRuns) -> Estimate:
     return Estimate(metric, float(changed), n=of, method=metric.method)
 
 
-def _equality_of_envs(metric: Metric, group: GroupRuns) -> Estimate:
+def _equality_of_envs(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     """How equal the environments of a run are, of the run in which they are least so."""
     runs = group.at_sample
     if why_not := no_positions(runs):
-        return missing(metric, why_not)
+        return Missing(why_not)
     if runs[0].apart_by_design:
-        return missing(metric, runs[0].apart_by_design)
+        return Missing(runs[0].apart_by_design)
     found = [r.equality for r in runs if r.equality]
     if not found:
-        return missing(metric, "needs at least two environments")
+        return Missing("needs at least two environments")
     worst = max(range(len(found)), key=lambda index: (found[index].level, _difference(found[index])))
     return _level(metric, found[worst], len(found), runs[worst].configuration.run_index)
 
 
-def _equality_of_runs(metric: Metric, group: GroupRuns) -> Estimate:
+def _equality_of_runs(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     """How equal the runs are, environment by environment."""
     runs = group.at_sample
     if why_not := no_positions(runs):
-        return missing(metric, why_not)
+        return Missing(why_not)
     if len(runs) < 2:
-        return missing(metric, "needs at least two complete runs")
+        return Missing("needs at least two complete runs")
     agree = len(set(group.classes)) == 1 if group.classes else None
     samples = np.stack([r.positions.recorded for r in runs if r.positions])
     try:
         found = verdict(samples, hashes_agree=agree)
     except ValueError as error:
-        return missing(metric, str(error))
+        return Missing(str(error))
     return _level(metric, found, len(runs))
 
 

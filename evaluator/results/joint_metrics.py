@@ -23,7 +23,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, differ, ends_of
 from gpusimbench.evaluator.results.details import JointsBetweenEnvs, JointsBetweenRuns
 from gpusimbench.evaluator.results.group_runs import GroupRuns, named
-from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, missing, over_runs
+from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, over_runs
 from gpusimbench.evaluator.runs.positions import Joints
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
@@ -92,13 +92,13 @@ def _joints(unit: str, group: GroupRuns) -> JointsBetweenEnvs:
     return JointsBetweenEnvs(joints=0 if isinstance(spaces, Missing) else spaces[0].joints)
 
 
-def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
+def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     runs = group.at_sample
     spaces = joint_spaces(runs, metric.unit)
     if isinstance(spaces, Missing):
-        return missing(metric, spaces.reason)
+        return spaces
     if len(runs) < 2:
-        return missing(metric, "needs at least two complete runs")
+        return Missing("needs at least two complete runs")
     matrix = run_distances(spaces, metric.unit)
     pairs = matrix[np.triu_indices(len(runs), k=1)]
     interval = jackknife_pair_mean(matrix)

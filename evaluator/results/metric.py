@@ -73,7 +73,7 @@ class Metric:
     aggregate  over those
     remark     what an estimate's method says behind the aggregate
     details    of an estimate over runs
-    of_group   the estimate for a group
+    of_group   the estimate for a group, or why it has no value
     interval   what the estimate's 95 % interval is; empty where it has none
     optional   tables leave it out where no group has a value, without a reason
     axis       of gsb-compare that it belongs to; None where sets of runs are not compared by it
@@ -92,7 +92,7 @@ class Metric:
     aggregate: Aggregator = MEAN
     remark: str = ""
     details: Callable[[GroupRuns], OverRuns] = lambda _: OverRuns()
-    of_group: Callable[[Metric, GroupRuns], Estimate] | None = None
+    of_group: Callable[[Metric, GroupRuns], Estimate | Missing] | None = None
     interval: str = ""
     optional: bool = False
     axis: Axis | None = None
@@ -121,7 +121,8 @@ class Metric:
     def estimate(self, group: GroupRuns) -> Estimate:
         """Its value for a group, computed once."""
         if self.name not in group.known:
-            group.known[self.name] = self.of_group(self, group) if self.of_group else over_runs(self, group)
+            made = self.of_group(self, group) if self.of_group else over_runs(self, group)
+            group.known[self.name] = missing(self, made.reason) if isinstance(made, Missing) else made
         found: Estimate = group.known[self.name]
         return found
 

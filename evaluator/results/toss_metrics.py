@@ -25,7 +25,7 @@ from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.group_runs import GroupRuns
-from gpusimbench.evaluator.results.metric import Direction, Estimate, Metric, Table, missing
+from gpusimbench.evaluator.results.metric import Direction, Estimate, Metric, Table
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.statistics.cases import DRAWS, Paired, mean_interval, paired
 from gpusimbench.evaluator.statistics.families import holm
@@ -48,13 +48,13 @@ def _told(of_runs: Sequence[_Errors | Missing]) -> list[_Errors] | Missing:
     return found or Missing(reasons[0] if reasons else "no run of this group is complete")
 
 
-def _of(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate]:
+def _of(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate | Missing]:
     """The mean over runs and tosses of a field of TossErrors, in the unit of the metric."""
 
-    def estimate(metric: Metric, group: GroupRuns) -> Estimate:
+    def estimate(metric: Metric, group: GroupRuns) -> Estimate | Missing:
         found = _told(group.tosses)
         if isinstance(found, Missing):
-            return missing(metric, found.reason)
+            return found
         per_toss = _per_toss(found, field) * factor
         floor = group.toss_floor
         floors = {"position": floor.position, "rotation": floor.rotation} if floor else {}
@@ -76,13 +76,13 @@ def _of(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate]:
     return estimate
 
 
-def _local(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate]:
+def _local(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate | Missing]:
     """The mean over runs and tosses of a field of LocalErrors, in the unit of the metric."""
 
-    def estimate(metric: Metric, group: GroupRuns) -> Estimate:
+    def estimate(metric: Metric, group: GroupRuns) -> Estimate | Missing:
         found = _told(group.local)
         if isinstance(found, Missing):
-            return missing(metric, found.reason)
+            return found
         of_runs = np.array([getattr(errors, field) for errors in found]) * factor
         long_enough = np.isfinite(of_runs[0])
         per_toss = of_runs[:, long_enough].mean(axis=0)

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.statistics.jackknife import CONFIDENCE
-from gpusimbench.evaluator.statistics.ratio import mean_of
+from gpusimbench.evaluator.statistics.jackknife import CONFIDENCE, mean_of
 
 MIN_POINTS = 3
 """Fewer points have no spread beside a change."""

@@ -144,13 +144,12 @@ def compare(
     """
     from gpusimbench.evaluator.compare import compare as comparing
     from gpusimbench.evaluator.compare.finding import Settings
-    from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.compute.work import HERE
     from gpusimbench.evaluator.inputs.reader import Reader
     from gpusimbench.evaluator.read.addresses import expand
 
     ours, theirs = expand(list(map(place, base))), expand(list(map(place, head)))
-    sides = read_sides(ours, theirs, Reader(sample_time), HERE)
+    sides = comparing.read_sides(ours, theirs, Reader(sample_time), HERE)
     return comparing.compare(*sides, Settings(alpha=alpha, threshold=threshold), HERE, across)
 
 

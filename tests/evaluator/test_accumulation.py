@@ -11,7 +11,7 @@ import pytest
 from gpusimbench.evaluator.compute.cache import Store
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Reader
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
 from tests.pages import print_all

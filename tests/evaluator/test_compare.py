@@ -691,9 +691,8 @@ def test_exchanging_base_and_head_mirrors_every_verdict(
     tmp_path_factory: pytest.TempPathFactory, base: list[float], head: list[float], order: str, more: int
 ) -> None:
     """Turn every regression into an improvement and leave all else, and do not mind the order of files."""
-    from gpusimbench.evaluator.compare.compare import compare
+    from gpusimbench.evaluator.compare.compare import compare, read_sides
     from gpusimbench.evaluator.compare.finding import Settings
-    from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.compute.work import HERE
     from gpusimbench.evaluator.inputs.reader import Reader
     from gpusimbench.evaluator.read.addresses import expand

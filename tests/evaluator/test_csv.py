@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.render.csv import to_csv
+from gpusimbench.evaluator.render.table_files import to_csv
 
 CELLS = st.none() | st.integers() | st.floats(allow_nan=False) | st.text()
 

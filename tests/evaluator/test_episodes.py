@@ -22,7 +22,7 @@ from gpusimbench.evaluator.episodes.outcome import FinishOrder, Outcome, outcome
 from gpusimbench.evaluator.episodes.side import Choice, Episodes, choose, read_side, with_common_clusters
 from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.statistics.rates import mcnemar, rate_interval, wilson
+from gpusimbench.evaluator.statistics.cases import mcnemar, rate_interval, wilson
 from gpusimbench.recorder.vector.device.log import About, HostLog
 from gpusimbench.recorder.vector.modes import Mode
 from tests.conftest import call, made_once

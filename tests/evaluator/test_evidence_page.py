@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.metrics.radar import Axis
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Table, Text, walk
-from gpusimbench.evaluator.report.document import report
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html, report
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.sections import (
     comparison,

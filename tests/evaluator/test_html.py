@@ -26,7 +26,7 @@ from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.player.playback import playback_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.templating import script
-from gpusimbench.evaluator.report.html import render_html, write_html
+from gpusimbench.evaluator.report.document import render_html, write_html
 from gpusimbench.evaluator.results import group_metrics, published
 from gpusimbench.evaluator.results.details import (
     BetweenEnvs,
@@ -40,10 +40,10 @@ from gpusimbench.evaluator.results.details import (
 )
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.group_runs import Reference
 from gpusimbench.evaluator.results.metric import Estimate, missing
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import Comparison, Contender
-from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import Cloud, GroupResult, Map
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import DamagedRecording, GsbError

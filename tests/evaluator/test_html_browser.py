@@ -10,11 +10,10 @@ from typing import Any
 
 import pytest
 
-from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.document import Figure
 from gpusimbench.evaluator.render.figures import matrix, palette, style
-from gpusimbench.evaluator.report.document import report
-from gpusimbench.evaluator.report.html import write_html
+from gpusimbench.evaluator.render.table_files import to_csv
+from gpusimbench.evaluator.report.document import report, write_html
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation

@@ -14,8 +14,7 @@ import pytest
 from gpusimbench.evaluator.render.document import Cell, Facts, Text, Tone
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
-from gpusimbench.evaluator.report.document import report
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html, report
 from gpusimbench.evaluator.report.leaders import Fastest, fastest
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.timed import TOO_SHORT

@@ -20,7 +20,7 @@ from gpusimbench.evaluator.metrics.lost_cubes import Board, clamped
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.numbers import figure
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.parquet import frames
 from gpusimbench.evaluator.results.details import BetweenRuns, OffTheBoard

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.json_values import values_of
 from gpusimbench.evaluator.render.document import Facts
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.report.sections.overview import overview

@@ -9,8 +9,7 @@ import pytest
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.table_files import Format, table_files
-from gpusimbench.evaluator.report.document import report
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html, report
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.sections.determinism_cost import SAME, ratio
 from gpusimbench.evaluator.report.source import Source

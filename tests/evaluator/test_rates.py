@@ -10,13 +10,17 @@ from scipy import stats
 
 from gpusimbench.evaluator.episodes.comparison import unpaired_interval
 from gpusimbench.evaluator.statistics.cases import (
+    interquartile_mean,
     interval_over_cases,
     least_shown,
+    mcnemar,
     mean_interval,
     paired,
+    rate_interval,
+    rows_differ,
     standard_error,
+    wilson,
 )
-from gpusimbench.evaluator.statistics.rates import interquartile_mean, mcnemar, rate_interval, rows_differ, wilson
 
 RNG = np.random.default_rng(0)
 

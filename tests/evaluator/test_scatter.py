@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.document import Figure
 from gpusimbench.evaluator.render.figures.axis import tick_label
 from gpusimbench.evaluator.render.figures.scatter import Box, Point, place, scatter
+from gpusimbench.evaluator.render.table_files import to_csv
 from gpusimbench.evaluator.report.sections.scatter import pictures
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 

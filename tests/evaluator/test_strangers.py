@@ -401,7 +401,7 @@ def test_forged_evidence_of_a_run_that_failed(forgery: str, tmp_path: Path) -> N
 
 def test_strange_names_of_counters_and_buffers(tmp_path: Path) -> None:
     """Show counters, buffers and phases that nobody foresaw, as text."""
-    from gpusimbench.evaluator.report.html import render_html
+    from gpusimbench.evaluator.report.document import render_html
     from gpusimbench.evaluator.results.evaluate import evaluate_files
 
     evil = "<script>alert(1)</script>\x1b[2J"

@@ -415,7 +415,8 @@ def test_figures_stand_alone(drawn: str) -> None:
     assert {"width", "height", "viewBox"} <= set(root.attrib)
     assert "style" not in {key for e in root.iter() for key in e.attrib}
     assert "var(" not in text
-    assert {c for e in root.iter() for c in (e.get("class") or "").split()} <= style.classes() | {"cell", "ring"}
+    ruled = {selector[1:] for selector, _ in style.resolved() if selector.startswith(".")}
+    assert {c for e in root.iter() for c in (e.get("class") or "").split()} <= ruled | {"cell", "ring"}
     for one in root.iter():
         if one.tag in {f"{name}{tag}" for tag in ("rect", "path", "circle", "line", "text")}:
             assert one.get("fill") or one.get("stroke"), one.attrib

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.metrics.radar import Axis
 from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.sweeps import Sweep

@@ -20,8 +20,7 @@ from gpusimbench.evaluator.cli.eval import main as evaluate
 from gpusimbench.evaluator.cli.share import main as share
 from gpusimbench.evaluator.render.table_files import Format, table_files
 from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.report.document import report
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html, report
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.parquet import METRICS, frames
 from gpusimbench.evaluator.report.source import Source

@@ -32,7 +32,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.report.sections.scatter import pictures
 from gpusimbench.evaluator.report.sections.tosses import section

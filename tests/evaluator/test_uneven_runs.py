@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.metrics.identity import Branch, SplitTree, distinct_over_time
 from gpusimbench.evaluator.missing import Missing, why_missing
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, Changed, Equality
 from gpusimbench.evaluator.results.evaluate import evaluate_files

@@ -12,7 +12,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.results.details import CaptureOverhead
 from gpusimbench.evaluator.results.evaluate import evaluate_files

@@ -75,11 +75,6 @@ def resolved() -> Rules:
     )
 
 
-def classes() -> frozenset[str]:
-    """All classes that have a rule."""
-    return frozenset(selector[1:] for selector, _ in _rules() if selector.startswith("."))
-
-
 def standalone(svg: str, hatch: str) -> str:
     """A figure as a file of its own: colours of the light theme in its elements, a ground, and nothing outside it.
 

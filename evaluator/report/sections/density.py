@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import Density, marginal
 from gpusimbench.evaluator.missing import Missing, why_missing
-from gpusimbench.evaluator.render.csv import Cell
 from gpusimbench.evaluator.render.document import Block, Figure, Numbers, Section, Text, key_of
 from gpusimbench.evaluator.render.figures import density_map
+from gpusimbench.evaluator.render.table_files import CsvCell
 from gpusimbench.evaluator.report.sections.rows import footnotes_below, titled, with_lines, without
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.group_runs import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map
 from gpusimbench.schemas.text import plural
 
@@ -112,7 +112,7 @@ def _scene_maps(nth: int, results: list[GroupResult], reference: Reference | Non
 
 def _numbers(density: Density, sides: Marginals, shared: Map) -> Numbers:
     """Every hexagon, every strip of the marginals that holds a position, and what lies off the map."""
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[CsvCell, ...]] = [
         ("hexagon", round(float(x), _DIGITS), round(float(y), _DIGITS), int(count))
         for (x, y), count in zip(density.centres, density.counts, strict=True)
     ]

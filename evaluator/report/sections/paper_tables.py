@@ -1,9 +1,9 @@
-"""The published tables, made again from these recordings, in the paper's layout."""
+"""The published tables, made again from these recordings in the paper's layout; and the paper's own figures."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.missing import Missing, known
@@ -13,6 +13,7 @@ from gpusimbench.evaluator.render.document import (
     NONE,
     Block,
     Cell,
+    Gallery,
     Row,
     Section,
     Table,
@@ -24,13 +25,15 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import missing
 from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.scaling import beside_published
 from gpusimbench.evaluator.report.sections.rows import facets, named
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results import paper_tables, published
 from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
-from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY
+from gpusimbench.evaluator.results.cost_metrics import FPS, GPU_MEMORY
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT
 from gpusimbench.evaluator.results.faults import Faults, faults
+from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.published import AtLargest, Variability
 from gpusimbench.evaluator.results.result import GroupResult
@@ -257,3 +260,59 @@ def _missing(source: Source) -> list[str]:
     """The paper's simulators of which nothing is here."""
     there = {r.group.key.simulator for r in source.evaluation.results if r.group.complete}
     return [name for simulator, name in published.NAMES.items() if simulator not in there]
+
+
+_NOT_OURS = (
+    f"These are the paper's figures, not results of this report. Source: {published.SOURCE}; its authors' machine: "
+    f"{published.MACHINE}. Speed and memory of another machine do not compare with those of this report; types and "
+    "distances hold for the versions and switches of that time."
+)
+
+
+def published_figures(source: Source) -> Section | None:
+    """None where they were not asked for."""
+    if not source.published:
+        return None
+    distances = (metric.titled for metric in (W1_REAL, W1_PARALLEL, W1_RUN_TO_RUN))
+    blocks: list[Block] = [
+        Text(_NOT_OURS, Tone.WARNING),
+        table(
+            "published-variability",
+            f"Variability as published: inclined-collision, 16 envs, 10 runs. {published.SOURCE}",
+            ["simulator", "version", *distances, "type"],
+            [
+                (r.simulator, published.SIMULATOR_VERSIONS[r.simulator], str(r.w1_real), str(r.parallel),
+                 str(r.run_to_run), str(r.regime))
+                for r in published.VARIABILITY
+            ],
+        ),
+        *_curves_beside(source),
+        table(
+            "published-scaling",
+            f"Throughput and memory as published, at the largest number of envs sustained. {published.SOURCE}",
+            ["simulator", *(f"{scene}: {what}" for scene in ("free-fall", "franka") for what in
+                            ("N_env^max", FPS.titled, "memory [GB]"))],
+            [(r.simulator, *_at(r.free_fall), *_at(r.franka)) for r in published.SCALING],
+        ),
+    ]  # fmt: skip
+    return Section("published", "Figures of the paper", tuple(blocks), "not results of this report", folded=True)
+
+
+def _at(found: AtLargest | None) -> tuple[Cell, Cell, Cell]:
+    if found is None:
+        return Cell("not supported", tone=Tone.QUIET), EMPTY, EMPTY
+    return (
+        Cell(f"{found.n_env_max:,}", float(found.n_env_max)),
+        Cell(f"{found.fps:,.0f}", found.fps),
+        Cell(f"{found.memory_gb:.1f}", found.memory_gb),
+    )
+
+
+def _curves_beside(source: Source) -> Iterator[Block]:
+    for scene in beside_published(source.evaluation.sweeps):
+        ours = ", ".join(f"{sweep.label} on {sweep.key.device or 'no device'}" for _, sweep in scene.sweeps)
+        said = f"curves: this report's, {ours}" if ours else "this report has no sweep of this scene"
+        drawn = Gallery(tuple(scene.charts), 28)
+        legend = Text(f"Diamonds with names: the paper's, on its machine, at N_env^max; {said}.", Tone.QUIET)
+        key = f"published-{scene.scene}"
+        yield Section(key, f"{scene.scene}: the paper's figures beside these sweeps", (drawn, legend))

@@ -11,8 +11,8 @@ from typing import Any
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
 from gpusimbench.evaluator.json_values import document_of, dump, picked
 from gpusimbench.evaluator.missing import known
-from gpusimbench.evaluator.render.csv import Cell, to_csv
 from gpusimbench.evaluator.render.numbers import ranked
+from gpusimbench.evaluator.render.table_files import CsvCell, to_csv
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.evidence_json import estimate_record
 from gpusimbench.evaluator.results.details import Throughput
@@ -137,7 +137,7 @@ def dump_csv(board: Board) -> str:
     return to_csv(COLUMNS, (_values(section, row) for section in board.sections for row in section.rows))
 
 
-def _values(section: Section, row: Row) -> tuple[Cell, ...]:
+def _values(section: Section, row: Row) -> tuple[CsvCell, ...]:
     key, metrics = row.key, row.result.metrics
     low, high = row.fps.ci95 or (None, None)
     return (
