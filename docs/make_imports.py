@@ -61,7 +61,7 @@ def measured(model: Path, column: str, folder: Path) -> dict[str, Any]:
 
 def short(found: dict[str, Any]) -> str:
     """A cell: what differs, or how near what agrees is."""
-    if found["refused"]:
+    if found["missing"]:
         return f"refused: {found['refused'].split(': ', 1)[-1].split(';')[0]}"
     findings = [finding for kind in found["kinds"] for finding in kind["findings"]]
     wrong = [f"{len(findings)} parameter{'s' if len(findings) > 1 else ''}"] if findings else []

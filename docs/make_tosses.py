@@ -151,7 +151,7 @@ def fits(files: list[Path]) -> str:
     for one, p in zip(judged, holm([one["change"]["p_value"] for one in judged]), strict=True):
         one["change"]["p_value"] = p
     for found in read:
-        by = {(one["of"], one["tosses"].split()[0]): one for one in found["compared"]}
+        by = {(one["quantity"], one["tosses"].split()[0]): one for one in found["compared"]}
         even, odd = by["position", "even"], by["position", "odd"]
         turned = by["rotation", "odd"]
         start, end = (", ".join(f"{k}={v}" for k, v in found[which].items()) for which in ("start", "fitted"))

@@ -11,13 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from gpusimbench.evaluator.missing import Missing, known, why_missing
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.location import Location
 
 _DEEPEST = 8
-
-SCHEMA_VERSION = 2
-"""Of the JSON of all commands of the evaluator: it counts, from 1, the releases in which a key vanished or changed its
-meaning."""
 
 MISSING = "_missing"
 """Behind the name of a key: that of the key with the reason why there is no value."""

@@ -196,6 +196,6 @@ def _runs(found: Comparison) -> Cell:
 
 
 def _run(number: int, run: ProgramRun) -> str:
-    memory = [f"{source} {used / _MIB:,.0f} MiB" for source, used in sorted(run.peaks.items(), reverse=True)]
+    memory = [f"{source} {used / _MIB:,.0f} MiB" for source, used in sorted(run.peaks_bytes.items(), reverse=True)]
     ended = run.reason or "ended"
     return f"{number}: {ended}, {run.seconds:.1f} s, peak memory {', '.join(memory) or 'not known'}; {run.folder}"

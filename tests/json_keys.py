@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.evaluator.json_values import SCHEMA_VERSION
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 
 KEPT = Path(__file__).resolve().parent / "golden" / "keys.json"
 
@@ -15,24 +15,50 @@ NAMES = {"metrics", "options", "switches", "memory_models", "checks", "by_rule",
          "scenes", "failed"}  # fmt: skip
 """Keys whose objects have names of metrics, options, rules, groups and scenes."""
 
+TWICE = {"radar", "refused_on"}
+"""Keys whose objects have names that have names."""
+
+NAMES_OF = {
+    "bisect": {"files", "tested"},
+    "fit": {"start", "fitted"},
+    "info": {
+        "attachments", "chunks", "clocks", "counters", "hardware", "hashes", "integrity", "memory", "phases", "program",
+        "unchecked",
+    },
+    "record": {"across_releases", "determinism", "groups", "missing_for", "state", "versions"},
+    "run": {"peaks_bytes"},
+    "verify": {"written_by"},
+}  # fmt: skip
+"""The same of one command."""
+
+FOREIGN = {"audit": {"replay_of"}, "info": {"provenance", "simulation"}, "leaderboard": {"replay_of"}}
+"""Keys whose objects stand in the recording as they are: schemas/README.md says what they have."""
+
 _TYPES = {bool: "bool", int: "number", float: "number", str: "text", type(None): "null"}
 Keys = dict[str, list[str]]
 
 
-def keys_of(documents: Iterable[Any]) -> Keys:
-    """The path of each key with the types of its values; `[]` is each entry of a list, `*` each name."""
+def keys_of(documents: Iterable[Any], command: str = "") -> Keys:
+    """The path of each key with the types of its values; `[]` is each entry of a list, `*` each name.
+
+    command  what wrote the documents, if it has names of its own
+    """
     found: dict[str, set[str]] = {}
+    names = NAMES | NAMES_OF.get(command, set())
 
     def gather(value: Any, place: str, named: int) -> None:
         if isinstance(value, dict):
             for key, below in value.items():
                 within = f"{place}.*" if named else f"{place}.{key}".lstrip(".")
-                left = named - 1 if named else 2 if key == "radar" else int(key in NAMES)
-                gather(below, within, left)
+                left = named - 1 if named else 2 if key in TWICE else int(key in names)
+                if key in FOREIGN.get(command, ()) and below is not None:
+                    found.setdefault(within, set()).add("object")
+                else:
+                    gather(below, within, left)
         elif isinstance(value, list):
             found.setdefault(place, set()).add("list")
             for each in value:
-                gather(each, f"{place}[]", named)
+                gather(each, f"{place}[]", 0)
         else:
             found.setdefault(place, set()).add(_TYPES[type(value)])
 

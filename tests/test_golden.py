@@ -35,7 +35,7 @@ COMMANDS = {
         *(f"{_H200}{r}.mcap" for r in range(4, 8)), "--no-cache",
     ),
 }  # fmt: skip
-LISTED = ("check", "compare", "diff")  # info has what strangers wrote; eval: tests/evaluator/test_json_page.py
+LISTED = ("check", "compare", "diff", "info")  # others: tests/test_json_keys.py, tests/evaluator/test_json_page.py
 _RELATIVE = 1e-9  # another processor rounds sums otherwise
 
 
@@ -57,7 +57,7 @@ def said(name: str) -> Any:
 def listed(verb: str) -> Keys:
     """The keys of the kept files of a command."""
     files = [GOLDEN / f"{name}.json" for name, (command, *_) in COMMANDS.items() if command == verb]
-    return keys_of(json.loads(file.read_text(encoding="utf-8")) for file in files)
+    return keys_of((json.loads(file.read_text(encoding="utf-8")) for file in files), verb)
 
 
 def differences(kept: Any, found: Any, where: str = "") -> list[str]:

@@ -177,9 +177,9 @@ def _ran(recording: Recording) -> float:
 
 
 def _open(replay: Made) -> Recording:
-    if replay.path is None:
+    if replay.file is None:
         raise DamagedRecording("a replay that is complete has left no file")
-    recording = Recording(replay.path)
+    recording = Recording(replay.file)
     verify(recording)
     return recording
 

@@ -226,8 +226,8 @@ def _audit(audit: Audit, required: Level) -> dict[str, Any]:
         "difference": None
         if d is None
         else {
-            "a": d.a.path,
-            "b": d.b.path,
+            "a": d.a.file,
+            "b": d.b.file,
             **picked(d, "bit_identical same_up_to_env_order max_ulp compared first program notes"),
         },
         "settings": audit.settings.deciding,

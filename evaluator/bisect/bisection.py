@@ -154,7 +154,7 @@ class Releases:
             python = self._python(version)
             with stage(f"recording {self.package} {version}"):
                 made, refused = record(self.plan.arguments(python, missing, folder), lambda text: None)
-            failed = [run for run in made if run.path is None or run.status not in ("complete", "invalid")]
+            failed = [run for run in made if run.file is None or run.status not in ("complete", "invalid")]
             cannot = f"{self.package} {version} cannot be recorded"
             if refused:
                 raise Refused(f"{cannot}: {refused}")

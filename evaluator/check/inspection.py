@@ -110,7 +110,7 @@ class Inspection:
     unchecked    kinds of problems that were not looked for, or not everywhere, and why
     phases       that began and ended, with their durations [s]
     clocks       phases that have clocks, with how many intervals of how many steps
-    not_timed    why there is no throughput; the same for `not_captured`
+    timed_missing, captured_missing  why there is no throughput, and no rate of captured steps
     hardware     clock rates and the like by where they are of: host, gpu0, ...
     co_tenants   other processes on the device; None where the simulator did not step on a GPU
     counters     names by phase
@@ -122,7 +122,7 @@ class Inspection:
     view         environments that viewers show of the file, as it is
     """
 
-    path: str
+    file: str
     container: Container | None
     status: str
     reason: str
@@ -135,9 +135,9 @@ class Inspection:
     phases: dict[str, float] = field(default_factory=dict)
     clocks: dict[str, tuple[int, int]] = field(default_factory=dict)
     timed: Rate | None = None
-    not_timed: str = ""
+    timed_missing: str = ""
     captured: Rate | None = None
-    not_captured: str = ""
+    captured_missing: str = ""
     memory: dict[str, Memory] = field(default_factory=dict)
     hardware: dict[str, Hardware] = field(default_factory=dict)
     co_tenants: CoTenancy | None = None
@@ -165,7 +165,7 @@ def inspect(file: Integrity) -> Inspection:
         raise NotARecording(file.not_opened)
     recording = file.recording
     said: dict[str, Any] = {
-        "path": str(file.path),
+        "file": str(file.path),
         "container": _container(file.scan),
         "status": recording.status if recording else "unreadable",
         "reason": recording.reason if recording else file.not_opened,
@@ -211,8 +211,8 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
 
     phases = read(lambda: _phases(recording), dict[str, float]())
     unread_clocks: tuple[Rate | None, str] = (None, "its clocks cannot be read")
-    timed, not_timed = read(lambda: _timed(recording), unread_clocks)
-    captured, not_captured = read(lambda: _captured(recording, phases), unread_clocks)
+    timed, timed_missing = read(lambda: _timed(recording), unread_clocks)
+    captured, captured_missing = read(lambda: _captured(recording, phases), unread_clocks)
     said = {
         "phases": phases,
         "clocks": read(
@@ -220,9 +220,9 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
             dict[str, tuple[int, int]](),
         ),
         "timed": timed,
-        "not_timed": not_timed,
+        "timed_missing": timed_missing,
         "captured": captured,
-        "not_captured": not_captured,
+        "captured_missing": captured_missing,
         "memory": read(lambda: _memory(recording), dict[str, Memory]()),
         "hardware": read(lambda: hardware_of(recording), dict[str, Hardware]()),
         "co_tenants": read(lambda: _co_tenants(recording), None),

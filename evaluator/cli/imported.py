@@ -153,9 +153,9 @@ def _make(
     if why:
         return None, why
     (one,) = made
-    if one.path is None or one.status == "stopped":
+    if one.file is None or one.status == "stopped":
         raise GsbError(f"{simulator} could not be recorded: {one.status}: {one.reason}")
-    (recording,) = verified([place(str(one.path))])
+    (recording,) = verified([place(str(one.file))])
     return recording, ""
 
 

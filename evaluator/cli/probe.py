@@ -277,7 +277,7 @@ def _make(plan: Plan, arm: Arm, out: Path, problems: list[str]) -> str:
         return "there is no snapshot to continue"
     made, refused = record(plan.arguments(arm, str(out), saved), lambda text: None)
     for one in made:
-        if one.path is None or one.status == "stopped":
+        if one.file is None or one.status == "stopped":
             problems.append(f"{plan.command(arm, str(out), saved)}: {one.status}: {one.reason}")
             complain("gsb-probe", problems[-1])
     if refused and not arm.intervention and not arm.initial:

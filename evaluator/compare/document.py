@@ -223,7 +223,7 @@ def dump_json(result: Result) -> str:
             "compared": [_configuration(compared, result) for compared in result.compared],
             "without_partner": [{"side": s, "label": label, "reason": why} for s, label, why in result.alone],
             "unreadable": [
-                {"side": side, "path": values_of(u.path), "reason": str(u.error)} for side, u in result.unreadable
+                {"side": side, "file": values_of(u.path), "reason": str(u.error)} for side, u in result.unreadable
             ],
             "notes": list(result.notes),
         })
@@ -235,11 +235,11 @@ def _configuration(compared: Compared, result: Result) -> dict[str, Any]:
     sides = {
         name: {
             **picked(group.key, "version device"),
-            "complete": len(group.complete),
+            "n_run": len(group.complete),
             "outcomes": group.outcomes,
             "timed": timed_record(work),
             "recordings": [
-                {**picked(r, "path"), **picked(r.provenance, "run_id created_utc"), **picked(r, "status")}
+                {"file": values_of(r.path), **picked(r.provenance, "run_id created_utc"), **picked(r, "status")}
                 for r in group.recordings
             ],
         }

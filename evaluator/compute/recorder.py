@@ -29,7 +29,7 @@ class Made:
 
     status: str
     reason: str
-    path: Path | None
+    file: Path | None
 
 
 def record(arguments: Sequence[str], say: Callable[[str], None]) -> tuple[tuple[Made, ...], str]:
@@ -80,7 +80,7 @@ class ProgramRun:
     status: str
     reason: str
     seconds: float
-    peaks: dict[str, int]
+    peaks_bytes: dict[str, int]
     recordings: tuple[Path, ...]
     partial: tuple[Path, ...]
 

@@ -35,7 +35,7 @@ def brief(found: Difference, *, every: bool) -> Facts:
 
 
 def _side(side: Side) -> str:
-    return f"{side.label}, env{'s' if len(side.envs) > 1 else ''} {words.ranges(list(side.envs))}: {side.path}"
+    return f"{side.label}, env{'s' if len(side.envs) > 1 else ''} {words.ranges(list(side.envs))}: {side.file}"
 
 
 def _compared(found: Difference) -> str:

@@ -44,8 +44,8 @@ def figure_of(found: Difference) -> str:
     legend, below = lines.legend([(index, name) for index, name, _ in series], _LEFT, _HEIGHT, _SIDE)
     parts = [
         element("style", style.replace("RULES", palette.rules())),
-        text(f"a: {found.a.label}, {found.a.path.name}", _LEFT, 16, class_="small"),
-        text(f"b: {found.b.label}, {found.b.path.name}", _LEFT, 31, class_="small"),
+        text(f"a: {found.a.label}, {found.a.file.name}", _LEFT, 16, class_="small"),
+        text(f"b: {found.b.label}, {found.b.file.name}", _LEFT, 31, class_="small"),
         *_distances(found, times, series),
         *_equal(found, found.first, times),
         legend,

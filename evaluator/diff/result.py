@@ -37,7 +37,7 @@ class Verdict(Enum):
 class Side:
     """One of the two that are compared.
 
-    path    of the recording
+    file    of the recording
     run_id  of its run
     label   simulator and version
     dt      its time step [s]
@@ -46,7 +46,7 @@ class Side:
     lost    one sentence for each thing that the recording should hold and does not
     """
 
-    path: Place
+    file: Place
     run_id: str
     label: str
     dt: float

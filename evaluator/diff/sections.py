@@ -171,7 +171,7 @@ def _growth(growth: Growth) -> list[str]:
     else:
         doubling = "" if fit.doubling_time is None else f", doubling every {fit.doubling_time * 1000:.3g} ms"
         lines.append(
-            f"growth rate: {fit.rate:.3g} /s{doubling}; log-linear fit of the largest through {fit.points} steps from "
+            f"growth rate: {fit.rate:.3g} /s{doubling}; log-linear fit of the largest through {fit.n_point} steps from "
             f"{fit.begin_s:g} to {fit.end_s:g} s (first difference to 1 mm), R2 {fit.r_squared:.3f}"
         )
     if growth.not_finite_from is not None:

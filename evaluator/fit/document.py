@@ -36,13 +36,13 @@ _TITLES = ("error of", "tosses", "before", "after", "change", "p")
 class Compared:
     """An error before and after, mean over tosses.
 
-    of, unit       "position" [cm] or "rotation" [deg]
+    quantity, unit "position" [cm] or "rotation" [deg]
     tosses         EVEN or ODD
     before, after  with their 95 % intervals, by resampling tosses
     change         after less before, toss by toss
     """
 
-    of: str
+    quantity: str
     unit: str
     tosses: str
     before: float
@@ -79,7 +79,7 @@ class Fit:
     @property
     def held_out(self) -> Compared:
         """The comparison that judges: the error of position on odd tosses."""
-        return next(one for one in self.compared if (one.of, one.tosses) == ("position", ODD))
+        return next(one for one in self.compared if (one.quantity, one.tosses) == ("position", ODD))
 
     @property
     def verdict(self) -> str:
@@ -87,7 +87,7 @@ class Fit:
         if not self.command:
             return "No better options were found than those of the start."
         one = self.held_out
-        turned = next(other for other in self.compared if (other.of, other.tosses) == ("rotation", ODD))
+        turned = next(other for other in self.compared if (other.quantity, other.tosses) == ("rotation", ODD))
         errors = f"{_said(one)} on the {one.change.cases} odd tosses; {_said(turned)}"
         if one.change.p_value >= LEVEL:
             return f"The fit cannot be told apart from the start: {errors}."
@@ -96,7 +96,7 @@ class Fit:
 
 def _said(one: Compared) -> str:
     p = one.change.p_value
-    return f"error of {one.of} {one.before:.3g} {one.unit} to {one.after:.3g} {one.unit} (p = {p:.2g})"
+    return f"error of {one.quantity} {one.before:.3g} {one.unit} to {one.after:.3g} {one.unit} (p = {p:.2g})"
 
 
 def compared(before: Recording, after: Recording, measured: MeasuredTosses) -> tuple[Compared, ...]:
@@ -170,7 +170,7 @@ def _words(options: dict[str, str]) -> str:
 
 def _row(one: Compared) -> list[str]:
     return [
-        f"{one.of} [{one.unit}]",
+        f"{one.quantity} [{one.unit}]",
         f"{one.change.cases} {one.tosses.split()[0]}",
         _span(one.before, one.before_ci95),
         _span(one.after, one.after_ci95),

@@ -160,9 +160,9 @@ def _made(arguments: Sequence[str], folder: Path) -> Path:
     made, refused = record([*arguments, "--out", as_path(folder)], lambda text: None)
     if refused or not made:
         raise GsbError(refused or f"{COMMAND} made no run")
-    if made[0].path is None or made[0].status != "complete":
+    if made[0].file is None or made[0].status != "complete":
         raise GsbError(f"the run is {made[0].status}: {made[0].reason}")
-    return made[0].path
+    return made[0].file
 
 
 def _recording(path: Path) -> Recording:

@@ -77,8 +77,8 @@ class Audit:
     simulator, version, device, options  of the run
     model      the model's own file
     same_file  whether the reference has the same files, to the byte
-    path       of the recording; None where none was made
-    refused    why the engine does not take the model; empty where it does
+    file       of the recording; None where none was made
+    missing    why there is nothing to compare: the engine does not take the model; empty where it does
     kinds      parameters, by kind of things
     poses      the engine's kinematics
     responses  the engine's dynamics
@@ -91,8 +91,8 @@ class Audit:
     options: tuple[str, ...]
     model: str
     same_file: bool
-    path: Place | None
-    refused: str
+    file: Place | None
+    missing: str
     kinds: tuple[Compared, ...]
     poses: Poses | Missing
     responses: Responses | Missing
@@ -107,7 +107,7 @@ class Audit:
     def agrees(self) -> bool:
         """Whether nothing differs, is missing, or is refused; what could not be compared aside."""
         moved = [part.wrong for part in (self.poses, self.responses) if not isinstance(part, Missing)]
-        return not self.refused and not self.findings and not any(moved)
+        return not self.missing and not self.findings and not any(moved)
 
 
 def refused(simulator: str, options: Sequence[str], why: str) -> Audit:
@@ -167,8 +167,8 @@ def _audit(recording: Recording, reference: Recording) -> Audit:
         options=tuple(c.option_words),
         model=str(recording.scene.get("file", c.scene)),
         same_file=c.model == reference.configuration.model,
-        path=recording.path,
-        refused="",
+        file=recording.path,
+        missing="",
         kinds=kinds,
         poses=moved[0],
         responses=moved[1],

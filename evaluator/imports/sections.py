@@ -51,7 +51,7 @@ def dump_import(audits: Sequence[Audit]) -> str:
 
 def verdict_of(audit: Audit) -> str:
     """The result in a few words."""
-    if audit.refused:
+    if audit.missing:
         return "refuses the model"
     if audit.agrees:
         return "agrees with MuJoCo C"
@@ -70,8 +70,8 @@ def _section(number: int, audit: Audit, every: bool) -> Section:
 
 
 def _blocks(number: int, audit: Audit, every: bool) -> Iterator[Block]:
-    if audit.refused:
-        yield Text(audit.refused, Tone.BAD)
+    if audit.missing:
+        yield Text(audit.missing, Tone.BAD)
         return
     if not audit.same_file:
         yield Text("The reference was made of other files: differences of the two are found, too.", Tone.WARNING)

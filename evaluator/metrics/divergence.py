@@ -116,7 +116,7 @@ class GrowthFit:
 
     rate          [1/s]
     r_squared     share of the variance of log(distance) that the line explains
-    points        that the line goes through
+    n_point       number of points that the line goes through
     begin_s, end_s  times of the first and the last of them [s]
     power_r_squared  as r_squared, of a power of the time since the last step without a distance,
                   log(distance) = k log(t - t0) + constant
@@ -124,7 +124,7 @@ class GrowthFit:
 
     rate: float
     r_squared: float
-    points: int
+    n_point: int
     begin_s: float
     end_s: float
     power_r_squared: float

@@ -257,7 +257,7 @@ def dump_check(report: Report) -> str:
         "rule_sets": list(report.rule_sets),
         "exit_code": int(report.exit_code),
         "files": [
-            {"path": str(f.path), **picked(f, "what status reason"), "rules_held": f.held} for f in report.files
+            {"file": str(f.path), **picked(f, "what status reason"), "rules_held": f.held} for f in report.files
         ],
         "findings": [
             {
@@ -265,7 +265,8 @@ def dump_check(report: Report) -> str:
                 "level": finding.rule.level.name,
                 "damage": finding.rule.damage,
                 "files": [str(path) for path in finding.files],
-                **picked(finding, "of found"),
+                "set": finding.of,
+                **picked(finding, "found"),
                 **picked(finding.rule, "requires do"),
             }
             for finding in report.findings

@@ -59,7 +59,7 @@ def info_document(found: Inspection, *, every: bool = False) -> Document:
         blocks.append(_arrays(found))
     else:
         blocks.append(Text(f"{len(said) - len(shown)} more lines, and every array: --all", Tone.QUIET))
-    return Document(str(found.path), tuple(blocks))
+    return Document(str(found.file), tuple(blocks))
 
 
 def _tone(name: str, found: Inspection) -> Tone:
@@ -77,7 +77,7 @@ def _arrays(found: Inspection) -> Table:
 def dump_info(found: Sequence[Inspection], unreadable: Sequence[tuple[Place, GsbError]]) -> str:
     """A JSON document with an object for each file, those that are no recordings with their error."""
     files: list[Any] = [_file(one) for one in found]
-    files += [{"path": str(path), "status": "unreadable", "reason": str(error)} for path, error in unreadable]
+    files += [{"file": str(path), "status": "unreadable", "reason": str(error)} for path, error in unreadable]
     return dump(document_of({"gpusimbench": __version__, "files": files}))
 
 
@@ -215,10 +215,10 @@ def _where(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
 def _how_long(found: Inspection) -> Iterator[tuple[str, str]]:
     if found.phases:
         yield "phases", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in found.phases.items())
-    if found.timed or found.not_timed:
-        yield "throughput", _rate(found.timed) if found.timed else f"none: {found.not_timed}"
-    if found.captured or found.not_captured:
-        yield "capture", _rate(found.captured) if found.captured else f"no rate: {found.not_captured}"
+    if found.timed or found.timed_missing:
+        yield "throughput", _rate(found.timed) if found.timed else f"none: {found.timed_missing}"
+    if found.captured or found.captured_missing:
+        yield "capture", _rate(found.captured) if found.captured else f"no rate: {found.captured_missing}"
     if found.clocks:
         yield (
             "clocks",

@@ -69,7 +69,7 @@ def fired(seen: OverflowSeen) -> str:
     """One bit: how often, since when, and whether anything was dropped."""
     kind = "DROPPED" if seen.fatal else "nothing dropped" if seen.fatal is not None else "meaning unknown"
     steps = f"{seen.rows} recorded {'step' if seen.rows == 1 else 'steps'}"
-    since = f"{'by' if seen.spread else 'first at'} step {seen.first_step}"
+    since = f"{'first at' if seen.first_step_exact else 'by'} step {seen.first_step}"
     return f"{seen.name} ({kind}) at {steps}, {since}"
 
 

@@ -65,10 +65,10 @@ class Law:
     ci95          of the same, or of the measured value, by Student's t; None with one environment
     held          whether the interval, or the mean without one, comes within the tolerance of zero; None
                   without a prediction
-    spread        standard deviation of what the interval is of, over environments
-    absent        why the other environments could not be measured; empty where all were
+    sd            standard deviation of what the interval is of, over environments
+    left_out      why the other environments could not be measured; empty where all were
     held_missing      why there is no prediction, and so no verdict; empty where there is
-    p             of the chi-squared test, where the law says that outcomes are equally likely: `count` of `of_envs`
+    p_value       of the chi-squared test, where the law says that outcomes are equally likely: `count` of `of_envs`
                   throws had an outcome, `measured` is the statistic, `predicted` its degrees of freedom, and it holds
                   where the statistic is below its 99.9 % point
     """
@@ -85,13 +85,13 @@ class Law:
     difference: float | None
     ci95: tuple[float, float] | None
     tolerance: float
-    of: str
+    tolerance_formula: str
     held: bool | None
     sensitivities: tuple[Sensitivity, ...]
-    spread: float
-    absent: str = ""
+    sd: float
+    left_out: str = ""
     held_missing: str = ""
-    p: float | None = None
+    p_value: float | None = None
 
     @property
     def said(self) -> str:
@@ -147,9 +147,9 @@ def _uniform(label: str, scene: str, found: LawCounts) -> Law | Unmeasured:
     return Law(
         label=label, scene=scene, key=found.key, title=found.title, unit="", count=count, of_envs=found.of,
         measured=test.statistic, predicted=float(test.degrees), difference=test.statistic - test.degrees, ci95=None,
-        tolerance=test.critical - test.degrees, of=f"99.9 % of chi-squared; p = {test.p:.2g}",
-        held=test.statistic <= test.critical, sensitivities=(load,), spread=0.0,
-        absent=found.absent if count < found.of else "", p=test.p,
+        tolerance=test.critical - test.degrees, tolerance_formula=f"99.9 % of chi-squared; p = {test.p:.2g}",
+        held=test.statistic <= test.critical, sensitivities=(load,), sd=0.0,
+        left_out=found.absent if count < found.of else "", p_value=test.p,
     )  # fmt: skip
 
 
@@ -188,9 +188,9 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
         label=label, scene=scene, key=first.key, title=first.title, unit=first.unit, count=count,
         of_envs=len(first.measured), measured=float(measured[there].mean()),
         predicted=float(predicted[there].mean()) if judged else None, difference=mean if judged else None,
-        ci95=(low, high) if count > 1 else None, tolerance=tolerance, of=first.of, held=held,
+        ci95=(low, high) if count > 1 else None, tolerance=tolerance, tolerance_formula=first.of, held=held,
         sensitivities=tuple(sensitivity(name, slope) for name, slope in first.slopes),
-        spread=error * math.sqrt(count), absent=first.absent if count < len(first.measured) else "",
+        sd=error * math.sqrt(count), left_out=first.absent if count < len(first.measured) else "",
         held_missing=next((run.predicted.reason for run in alike if isinstance(run.predicted, Missing)), ""),
     )  # fmt: skip
 

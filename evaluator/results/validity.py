@@ -68,7 +68,7 @@ class OverflowSeen:
     envs        most environments with any bit at one of them
     n_run       runs in which it fired
     phase       of the first
-    first_step  earliest step; with `spread` it fired at this one or at any of those since the row before
+    first_step  earliest step; without `first_step_exact`, the bit fired at this step or at any since the row before
     """
 
     name: str
@@ -78,7 +78,7 @@ class OverflowSeen:
     n_run: int
     phase: str
     first_step: int
-    spread: bool
+    first_step_exact: bool
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def _seen(described: OverflowBit | None, found: Sequence[tuple[BitSummary, str, 
         n_run=len({run for *_, run in found}),
         phase=phase,
         first_step=first.first_step,
-        spread=spread,
+        first_step_exact=not spread,
     )
 
 

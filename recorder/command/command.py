@@ -12,6 +12,7 @@ from gpusimbench.recorder.command.arguments import N_ENV, OUT, OUT_OF_REPLAYS, S
 from gpusimbench.recorder.command.parser import fill
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.output import flush, show, show_document, show_path
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.commands.progress import Progress, stage
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import SETTINGS, RunConfiguration
@@ -294,7 +295,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
 
 
 def _print_json(record: dict[str, Any]) -> None:
-    show_document(json.dumps({"schema_version": 1, **record}, indent=1))
+    show_document(json.dumps({"schema_version": SCHEMA_VERSION, **record}, indent=1))
 
 
 def _list(name: str, as_json: bool) -> int:

@@ -59,8 +59,8 @@ def about_environment(prepared: Prepared) -> Json:
         "folder": str(prepared.folder),
         "python": prepared.python,
         "versions": prepared.versions,
-        "size": prepared.size,
-        "created": prepared.created,
+        "size_bytes": prepared.size,
+        "created_utc": prepared.created,
         "current": prepared.current,
     }
 
@@ -69,7 +69,7 @@ def environment_lines(environment: Json) -> list[str]:
     """The same for people: the folder on a line of its own, since a path may be of any length; then its packages."""
     versions = ", ".join(f"{name} {version}" for name, version in environment["versions"].items())
     stale = "" if environment["current"] else "; outdated, made for other requirements: run --setup again"
-    size = environment["size"] / 1e9
+    size = environment["size_bytes"] / 1e9
     return [
         f"environment: {environment['folder']} ({size:.2f} GB; Python {environment['python']}){stale}",
         *textwrap.wrap(f"  packages: {versions}", 120, subsequent_indent="    ", break_on_hyphens=False),
@@ -225,7 +225,7 @@ def _simulator(entry: Entry) -> Json:
         "across_releases": adapter.across_releases,
         "state": {field.name: str(getattr(claims, field.name)) for field in fields(claims)},
         "levels": [
-            {"level": level, "sets": sets, "effect_here": level not in none, "why_none": none.get(level, "")}
+            {"level": level, "sets": sets, "effect_here": level not in none, "reason": none.get(level, "")}
             for level, sets in adapter.determinism_levels.items()
         ],
     }
@@ -287,7 +287,7 @@ def _lines_of_simulator(about: Json) -> list[str]:
 def _level(level: Json, device: str) -> str:
     if level["effect_here"] or not device:
         return str(level["sets"])
-    return f"{level['sets']}. NO EFFECT on this machine ({device}): {level['why_none']}"
+    return f"{level['sets']}. NO EFFECT on this machine ({device}): {level['reason']}"
 
 
 def _lines_of_scene(scene: Json) -> list[str]:

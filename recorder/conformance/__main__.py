@@ -20,6 +20,7 @@ from gpusimbench.recorder.options import split_options
 from gpusimbench.recorder.output import show, show_document
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.text import line
 
@@ -44,20 +45,20 @@ class Verdict:
     """What one check found.
 
     outcome  ok, failed or skipped
-    why      empty where ok
+    reason   why not; empty where ok
     seconds  that the check took, builds that it was the first to need included
     """
 
     check: str
     outcome: str
-    why: str
+    reason: str
     seconds: float
 
     def line(self) -> str:
         """For people."""
         if self.outcome == OK:
             return f"{OK:<7} {self.check}"
-        return f"{self.outcome.upper() if self.outcome == FAILED else self.outcome:<7} {self.check}: {self.why}"
+        return f"{self.outcome.upper() if self.outcome == FAILED else self.outcome:<7} {self.check}: {self.reason}"
 
 
 def judge(check: Check, subject: Subject) -> Verdict:
@@ -111,7 +112,8 @@ def run(given: list[str]) -> int:
     tally = {outcome: sum(v.outcome == outcome for v in verdicts) for outcome in (OK, FAILED, SKIPPED)}
     if arguments.json:
         what = {"simulator": arguments.sim, "options": subject.given, "determinism": arguments.determinism}
-        show_document(json.dumps({"schema_version": 1, **what, "checks": [asdict(v) for v in verdicts]}, indent=1))
+        record = {"schema_version": SCHEMA_VERSION, **what, "checks": [asdict(verdict) for verdict in verdicts]}
+        show_document(json.dumps(record, indent=1))
     else:
         show(line(f"{subject.name}: " + ", ".join(f"{count} {outcome}" for outcome, count in tally.items())))
     return int(ExitCode.FAILURE if tally[FAILED] else ExitCode.OK)

@@ -90,7 +90,7 @@ class ProgramRun:
     status: str
     reason: str
     seconds: float
-    peaks: dict[str, int]
+    peaks_bytes: dict[str, int]
     recordings: tuple[str, ...]
     partial: tuple[str, ...]
 
@@ -149,7 +149,7 @@ def run_program(
         status=status,
         reason=reason,
         seconds=time.monotonic() - begun,
-        peaks=memory.peaks,
+        peaks_bytes=memory.peaks,
         recordings=_found(folder, ".mcap"),
         partial=_found(folder, PARTIAL),
     )

@@ -241,11 +241,11 @@ def _heading(sweep: Sweep, n_env: int, known: Outcomes) -> tuple[str, int, int]:
 
 def _summary(sweep: Sweep, known: dict[Place, Outcome], cut: str) -> Json:
     points = [
-        {"n_env": n_env, "complete": sum(o.good for o in at), "failed": sum(not o.good for o in at)}
+        {"n_env": n_env, "n_run": sum(o.good for o in at), "n_recording": len(at)}
         for n_env in sweep.reached(known)
         if (at := sweep.at(n_env, known))
     ]
-    return {"n_env_max": sweep.n_env_max(known), "stopped": cut or sweep.stopped(known), "points": points}
+    return {"n_env_max": sweep.n_env_max(known), "ends": cut or sweep.stopped(known), "points": points}
 
 
 def _tell(sweep: Sweep, summary: Json, below: dict[int, int]) -> None:
@@ -253,4 +253,4 @@ def _tell(sweep: Sweep, summary: Json, below: dict[int, int]) -> None:
         each = ", ".join(f"{count} of {sweep.runs} at {plural(n_env, 'env')}" for n_env, count in below.items())
         say(f"runs failed below the last point: {each}")
     most = summary["n_env_max"]
-    say(f"N_env^max {'none' if most is None else most}: {summary['stopped']}")
+    say(f"N_env^max {'none' if most is None else most}: {summary['ends']}")

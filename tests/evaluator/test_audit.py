@@ -31,7 +31,7 @@ from gpusimbench.evaluator.audit.distribution import (
 from gpusimbench.evaluator.audit.matching import closest
 from gpusimbench.evaluator.audit.replaying import ReplayPlan
 from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
-from gpusimbench.evaluator.json_values import SCHEMA_VERSION
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.provenance import SIMULATION
 from tests.conftest import call, distribution, wait_for
 from tests.forging import forge
@@ -260,7 +260,7 @@ def test_a_replay_that_takes_too_much_is_stopped(plugin: dict[str, str], tmp_pat
     (audit,) = json.loads((tmp_path / "a.json").read_text())["audits"]
     assert (audit["outcome"], audit["level"], audit["meets_requirement"]) == ("stopped", None, None)
     (replay,) = audit["replays"]
-    assert (replay["status"], replay["path"]) == ("stopped", None)
+    assert (replay["status"], replay["file"]) == ("stopped", None)
     assert not list(out.iterdir())
 
 

@@ -199,7 +199,7 @@ def test_mujoco_measures_a_restitution_that_nothing_predicts(tmp_path: Path) -> 
         assert rebound["held"] is None and rebound["predicted"] is None and rebound["difference"] is None
         assert rebound["held_missing"] == "the engine has no coefficient of restitution in force"
         assert 0.5 < rebound["ci95"][0] < rebound["measured"] < rebound["ci95"][1] < 0.6
-        assert 0.0 < rebound["spread"] < 0.1
+        assert 0.0 < rebound["sd"] < 0.1
     said = " ".join(call("gsb-eval", path).stdout.split())
     assert "6 of 6 laws in closed form held; without a verdict: restitution of the ball from 0.2 m 0.5" in said
     assert "no verdict" in call("gsb-eval", path, "--all").stdout

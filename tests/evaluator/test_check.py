@@ -21,8 +21,8 @@ from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import SHIPPED, Level, Scope, load_rules, parse_rules
 from gpusimbench.evaluator.cli.check import main
-from gpusimbench.evaluator.json_values import SCHEMA_VERSION
 from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION

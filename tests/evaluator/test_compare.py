@@ -655,7 +655,7 @@ def test_lists_of_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     base, head = write_sides(tmp_path, timed(), timed(1.3))
     (base / "copy.mcap").write_bytes(sorted(base.glob("*.mcap"))[0].read_bytes())
     _, folders = compared(base, head, capsys=capsys)
-    assert folders["compared"][0]["base"]["complete"] == 6
+    assert folders["compared"][0]["base"]["n_run"] == 6
     files = [sorted(side.glob("*.mcap"), reverse=True) for side in (base, head)]
     _, lists = compared("--head", *files[1], "--base", *files[0], capsys=capsys)
     assert lists["compared"][0]["findings"] == folders["compared"][0]["findings"]

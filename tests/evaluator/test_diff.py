@@ -359,7 +359,7 @@ def test_an_exponential_is_measured(tmp_path: Path) -> None:
     assert growth.fit
     assert growth.fit.rate == pytest.approx(9.0, rel=1e-4)
     assert growth.fit.r_squared == pytest.approx(1, abs=1e-6)
-    assert (growth.fit.begin_s, growth.fit.points) == (pytest.approx(0.2), 64)
+    assert (growth.fit.begin_s, growth.fit.n_point) == (pytest.approx(0.2), 64)
     assert growth.to_1mm == pytest.approx(0.2 + 0.02 * np.ceil(np.log(1e5) / 9 / 0.02))
     assert growth.to_1cm == pytest.approx(0.2 + 0.02 * np.ceil(np.log(1e6) / 9 / 0.02))
     assert growth.median_spatial[50] == 0

@@ -16,9 +16,9 @@ import pytest
 from gpusimbench.evaluator.cli.diff import main
 from gpusimbench.evaluator.diff.result import Change
 from gpusimbench.evaluator.diff.words import amount, changes, ranges, sparkline
-from gpusimbench.evaluator.json_values import SCHEMA_VERSION
 from gpusimbench.evaluator.render import console
 from gpusimbench.evaluator.render.numbers import length
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from tests.synthetic import cubes_field, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -164,7 +164,7 @@ def test_the_fit_says_how_much_it_explains() -> None:
     logs = 3.0 * times - 15.0 + np.random.default_rng(0).normal(scale=2.0, size=40)
     fit = fit_growth(times, np.exp(logs), limit=1.0)
     assert isinstance(fit, GrowthFit)
-    assert fit.points == 40
+    assert fit.n_point == 40
     assert (fit.begin_s, fit.end_s) == (times[0], times[-1])
     correlation = np.corrcoef(times, logs)[0, 1]
     assert 0.1 < correlation**2 < 0.9
@@ -177,7 +177,7 @@ def test_five_points_make_a_rate() -> None:
     times, distances = np.arange(7.0), 2.0 ** np.arange(-40, -33)
     fit = fit_growth(times, distances, limit=float(distances[5]))
     assert isinstance(fit, GrowthFit)
-    assert (fit.points, fit.begin_s, fit.end_s) == (5, 0.0, 4.0)
+    assert (fit.n_point, fit.begin_s, fit.end_s) == (5, 0.0, 4.0)
     assert fit.doubling_time == pytest.approx(1.0)
     none = fit_growth(times, distances, limit=float(distances[4]))
     assert isinstance(none, Missing)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -139,23 +139,21 @@ def _fit(folder: Path) -> None:
     done = call(
         "gsb-fit", "--sim", "mujoco", "--parameters", "friction", "--option", "friction=0.3", "--budget", "9",
         "--out", folder / "fit", "--json", folder / "fit.json",
+        env={name: value for name, value in os.environ.items() if name != VARIABLE},
     )  # fmt: skip
     assert done.returncode == ExitCode.OK, done.stderr
     (folder / "said.txt").write_text(done.stdout, encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def fitted(monkeypatch_module: pytest.MonkeyPatch) -> Path:
+def of_friction() -> Path:
     """A fit of friction to the synthetic tosses, whose friction is 0.18, from 0.3."""
-    monkeypatch_module.delenv(VARIABLE, raising=False)
     return made_once("fit-of-friction", _fit)
 
 
 @pytest.fixture(scope="module")
-def monkeypatch_module() -> Any:
-    """As monkeypatch, for a module."""
-    with pytest.MonkeyPatch.context() as patched:
-        yield patched
+def fitted() -> Path:
+    """The same."""
+    return of_friction()
 
 
 @pytest.mark.slow
@@ -164,7 +162,7 @@ def test_known_friction(fitted: Path) -> None:
     record = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
     assert float(record["fitted"]["friction"]) == pytest.approx(0.18, rel=0.06)
     assert record["verdict"].startswith("Fitting helps")
-    by = {(one["of"], one["tosses"]): one for one in record["compared"]}
+    by = {(one["quantity"], one["tosses"]): one for one in record["compared"]}
     for tosses in (EVEN, ODD):
         one = by["position", tosses]
         assert one["change"]["cases"] == 24
@@ -211,7 +209,7 @@ def test_judged_by_odd_tosses(fitted: Path) -> None:
     order = ranked(evaluation.results)
     assert [bool(one.result.group.key.told["fitted"]) for one in order] == [True, False]
     record = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
-    (held_out,) = (one for one in record["compared"] if (one["of"], one["tosses"]) == ("position", ODD))
+    (held_out,) = (one for one in record["compared"] if (one["quantity"], one["tosses"]) == ("position", ODD))
     assert [one.error for one in order] == [pytest.approx(held_out[name]) for name in ("after", "before")]
     assert order[1].against is not None
     assert order[1].against.cases == 24

@@ -20,7 +20,7 @@ from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.imported import Imported, Trials
 from gpusimbench.schemas.model_files import pack
-from tests.conftest import call
+from tests.conftest import call, made_once
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
 
@@ -385,16 +385,21 @@ def test_newton(reference: Held, tmp_path: Path) -> None:
     assert not placed.wrong and responded.wrong
 
 
-@pytest.fixture(scope="module")
-def recorded_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The walker and a copy with another mass, on MuJoCo C, each with the phase import."""
-    folder = tmp_path_factory.mktemp("imports")
-    done = call(
-        "gsb-import", WALKER, "--sim", "warp", "--out", folder / "out", "--json", folder / "result.json"
-    )  # fmt: skip
+def _import(folder: Path) -> None:
+    done = call("gsb-import", WALKER, "--sim", "warp", "--out", folder / "out", "--json", folder / "result.json")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "agrees with MuJoCo C" in done.stdout
-    return folder
+
+
+def of_walker() -> Path:
+    """The walker on MuJoCo C and MuJoCo Warp, compared; must not be written to."""
+    return made_once("import-of-walker", _import)
+
+
+@pytest.fixture(scope="module")
+def recorded_folder() -> Path:
+    """The same."""
+    return of_walker()
 
 
 @pytest.mark.slow

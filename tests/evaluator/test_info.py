@@ -13,9 +13,9 @@ import pytest
 from gpusimbench.evaluator.check.inspection import inspect
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.cli.info import main
-from gpusimbench.evaluator.json_values import SCHEMA_VERSION
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.info import info_document
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION, OverflowBit
 from tests.conftest import Command, call

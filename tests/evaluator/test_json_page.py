@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -15,11 +16,12 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
-from gpusimbench.evaluator.json_values import MISSING, SCHEMA_VERSION
+from gpusimbench.evaluator.json_values import MISSING
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.details import Details
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.statistics.floor import Floor
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from tests.conftest import call, recorded, run_python
 from tests.json_keys import NAMES, Keys, broken, check, keys_of, write
 from tests.test_docs import blocks, commands, shell
@@ -258,6 +260,17 @@ def test_the_example_runs(tmp_path: Path) -> None:
     assert done.stdout
     (line,) = run_python(program, cwd=tmp_path).stdout.splitlines()
     assert re.fullmatch(r"mujoco \d+ env-steps/s", line)
+
+
+def test_the_questions_are_answered(tmp_path: Path) -> None:
+    """Print for each question of the page, asked of the file that its command writes, what the page shows."""
+    if shutil.which("jq") is None:
+        pytest.skip("jq is not installed")
+    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    (asked,), questions = commands(PAGE), blocks(PAGE, "sh")
+    shell(asked, tmp_path)
+    assert len(questions) == 3
+    assert [shell(question.rstrip(), tmp_path).stdout for question in questions] == blocks(PAGE, "text")
 
 
 if __name__ == "__main__":

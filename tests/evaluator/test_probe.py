@@ -38,7 +38,7 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from gpusimbench.schemas.treatment import Initial, Intervention
-from tests.conftest import Command, call
+from tests.conftest import Command, call, made_once
 from tests.synthetic import grid, write_recording
 
 Planted = Callable[[NDArray[Any], int], None]
@@ -337,19 +337,26 @@ def test_a_plan_goes_on_where_it_stopped() -> None:
     assert len(PLAN.missing([foreign])) == len(list(PLAN.arms()))
 
 
-@pytest.fixture(scope="module")
-def probed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A probe of MuJoCo C, small."""
-    out = tmp_path_factory.mktemp("probe") / "out"
+def _probe(folder: Path) -> None:
     done = call(
-        "gsb-probe", "--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", out, "--json",
-        out.parent / "answers.json", code=0,
+        "gsb-probe", "--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", folder / "out",
+        "--json", folder / "answers.json", code=0,
     )  # fmt: skip
     assert len(done.stdout.splitlines()) <= 19
     asked = sum(not question.asked_of_few for question in QUESTIONS)
     said = f"{asked - 1} of {asked} answers are yes; no: positions and velocities are the whole state"
     assert said in " ".join(done.stdout.split())
-    return out
+
+
+def of_mujoco() -> Path:
+    """A probe of MuJoCo C, small; must not be written to."""
+    return made_once("probe-of-mujoco", _probe)
+
+
+@pytest.fixture(scope="module")
+def probed() -> Path:
+    """Its recordings."""
+    return of_mujoco() / "out"
 
 
 @pytest.mark.slow

@@ -71,7 +71,7 @@ def test_a_training_run_repeats_itself(tmp_path: Path) -> None:
     assert (found["verdict"], found["all_compared"]) == ("bit-identical", True)
     assert found["command"] == words
     assert [run["status"] for run in found["runs"]] == ["ended", "ended"]
-    assert all(run["peaks"]["host"] > 10 << 20 and run["seconds"] > 0 for run in found["runs"])
+    assert all(run["peaks_bytes"]["host"] > 10 << 20 and run["seconds"] > 0 for run in found["runs"])
     assert (tmp_path / "program-runs/run-0/output.txt").read_text().startswith("update 0: episodes of")
     described = open_recording(tmp_path / "program-runs/run-1/train.mcap").attachment("program.json")
     assert described is not None

@@ -143,7 +143,7 @@ def test_what_is_done_to_files_is_named(
 ) -> None:
     """Name what is missing, changed, added, or a link that was not followed."""
     spoil(copy)
-    assert (kind, path) in {(f["kind"], f["path"]) for f in findings(copy, capsys, code)}
+    assert (kind, path) in {(f["kind"], f["file"]) for f in findings(copy, capsys, code)}
 
 
 def write_table(folder: Path, table: pl.DataFrame, **options: Any) -> None:
@@ -162,7 +162,7 @@ def test_a_table_that_was_made_up_is_found(copy: Path, capsys: pytest.CaptureFix
     changed = pl.when(pl.col("metric") == "fps").then(pl.col("value") * 2).otherwise(pl.col("value")).alias("value")
     write_table(copy, table.with_columns(changed))
     (found,) = findings(copy, capsys, 4)
-    assert (found["kind"], found["path"]) == ("disagrees", "metrics.parquet")
+    assert (found["kind"], found["file"]) == ("disagrees", "metrics.parquet")
     assert found["said"].startswith("mujoco, fps: value is ")
     assert "relative difference 5.0e-01" in found["said"]
 
@@ -208,10 +208,10 @@ def test_recordings_are_held_against_the_rules(tmp_path: Path, small: Path, caps
     shutil.copy(small, tmp_path)
     write_recording(tmp_path, None, name="says-little.mcap")
     assert main(["card", str(tmp_path), *WORDS, *WHEN]) == 4
-    assert {(f["kind"], f["path"]) for f in findings(tmp_path, capsys, 4)} == {("breaks a rule", "says-little.mcap")}
+    assert {(f["kind"], f["file"]) for f in findings(tmp_path, capsys, 4)} == {("breaks a rule", "says-little.mcap")}
     (tmp_path / "cut.mcap").write_bytes(small.read_bytes()[:-30])
     assert main(["card", str(tmp_path), *WORDS, *WHEN, "--update"]) == 3
-    assert ("damaged", "cut.mcap") in {(f["kind"], f["path"]) for f in findings(tmp_path, capsys, 3)}
+    assert ("damaged", "cut.mcap") in {(f["kind"], f["file"]) for f in findings(tmp_path, capsys, 3)}
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -232,7 +232,7 @@ def test_a_set_on_a_web_server(made: Path, capsys: pytest.CaptureFixture[str]) -
         assert "secret" not in told.out + told.err
         web.files["sets/notes.txt"] = b"other\n"
         (found,) = findings(f"{web.address}/sets/", capsys, 3)
-        assert (found["kind"], found["path"]) == ("changed", "notes.txt")
+        assert (found["kind"], found["file"]) == ("changed", "notes.txt")
         del web.files["sets/notes.txt"]
         (found,) = findings(f"{web.address}/sets", capsys, 3)
         assert found["kind"] == "missing"
@@ -250,7 +250,7 @@ def test_a_file_that_grew_is_not_fetched(made: Path, capsys: pytest.CaptureFixtu
         web.files["below/a%20b.mcap"] += bytes(8 << 20)
         web.forget()
         (found,) = findings(web.address, capsys, 3)
-        assert found["path"] == "below/a b.mcap"
+        assert found["file"] == "below/a b.mcap"
         assert web.sent < 8 << 20
 
 
@@ -262,7 +262,7 @@ def test_a_set_on_another_file_system(made: Path, capsys: pytest.CaptureFixture[
             system.pipe_file(f"/some/set/{path.relative_to(made)}", path.read_bytes())
     assert main(["verify", "memory://some/set"]) == 0, capsys.readouterr().out
     system.pipe_file("/some/set/below/more.mcap", b"x")
-    assert [(f["kind"], f["path"]) for f in findings("memory://some/set", capsys, 4)] == [
+    assert [(f["kind"], f["file"]) for f in findings("memory://some/set", capsys, 4)] == [
         ("not named", "below/more.mcap")
     ]
 

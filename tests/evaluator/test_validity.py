@@ -144,7 +144,7 @@ def test_overflow_is_described(tmp_path: Path) -> None:
     assert result.validity.overflow is not None
     (seen,) = result.validity.overflow
     assert (seen.name, seen.fatal, seen.rows, seen.envs, seen.n_run) == ("ITERATIONS", False, 7, 1, 2)
-    assert (seen.phase, seen.first_step, seen.spread) == ("capture", 2, False)
+    assert (seen.phase, seen.first_step, seen.first_step_exact) == ("capture", 2, True)
     assert len(result.group.complete) == 2  # nothing was dropped
     quiet = only(write_recording(tmp_path, grid(2), shown=Shown(overflow={"capture": overflowing(5, 6, 1)}, bits=BITS)))
     assert quiet.validity.overflow == ()

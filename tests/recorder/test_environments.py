@@ -318,7 +318,7 @@ def test_list_shows_environments(folder: Path, gsb_record: Command) -> None:
     assert "packages: numpy 2.0" in done.stdout
     listed = json.loads(gsb_record("--list", "--json").stdout)["simulators"]
     environment = next(about for about in listed if about["name"] == "genesis")["environment"]
-    assert environment["size"] == 1_500_000_000
+    assert environment["size_bytes"] == 1_500_000_000
     assert environment["current"]
 
 

@@ -20,6 +20,7 @@ from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from tests.conftest import SMALL, Command, distribution
@@ -309,7 +310,7 @@ def test_list(gsb_record: Command) -> None:
     assert "devices: cpu; scenes: all" in text.stdout
     assert "devices: cuda, cpu; scenes: inclined-collision, free-fall, cube-toss" in text.stdout  # of brax
     record = json.loads(gsb_record("--list", "--json").stdout)
-    assert record["schema_version"] == 1
+    assert record["schema_version"] == SCHEMA_VERSION
     known = {s["name"]: s for s in record["simulators"]}
     assert {"mujoco", "real"} <= known.keys()
     assert known["mujoco"]["devices"] == ["cpu"]

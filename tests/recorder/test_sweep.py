@@ -24,6 +24,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.sets.finished import Finished, locked, matching, read_folder
 from gpusimbench.recorder.sets.sweep import CERTAIN, Outcome, Place, Sweep, parse_points
+from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.configuration import MAX_ENVS, RunConfiguration
 from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import Command, command, distribution, wait_for
@@ -335,11 +336,11 @@ def test_a_sweep_and_its_continuation(gsb_record: Command, tmp_path: Path) -> No
     assert "folder.mcap (not a file), foreign.mcap (unreadable: " in ignored
     assert ignored.endswith(" and 1 more")
     record = json.loads(third.stdout)
-    assert record["schema_version"] == 1
+    assert record["schema_version"] == SCHEMA_VERSION
     assert record["sweep"] == {
         "n_env_max": 8,
-        "stopped": "8 is the end of the sweep",
-        "points": [{"n_env": n_env, "complete": 2, "failed": 0} for n_env in (1, 4, 8)],
+        "ends": "8 is the end of the sweep",
+        "points": [{"n_env": n_env, "n_run": 2, "n_recording": 2} for n_env in (1, 4, 8)],
     }
     assert [(run["n_env"], run["run"]) for run in record["runs"]] == every
     assert [(run["n_env"], run["run"]) for run in record["runs"] if not run["found"]] == [(4, 1)]
@@ -380,7 +381,7 @@ def test_more_environments_than_memory_holds(gsb_record: Command, tmp_path: Path
     again = gsb_record(*arguments, "--json", preexec_fn=little_memory, code=0)
     record = json.loads(again.stdout)
     assert record["sweep"]["n_env_max"] == 4
-    assert record["sweep"]["stopped"] == f"failed at 4194304: {recording.reason}"
+    assert record["sweep"]["ends"] == f"failed at 4194304: {recording.reason}"
     assert all(run["found"] for run in record["runs"])
 
 
@@ -474,8 +475,8 @@ def test_an_interrupted_sweep_goes_on(gsb_record: Command, limited: dict[str, st
         out, err = process.communicate(timeout=60)
     assert process.returncode == 1, err
     sweep = json.loads(out)["sweep"]
-    assert (sweep["n_env_max"], sweep["points"][-1]) == (2, {"n_env": 4, "complete": 0, "failed": 1})
-    assert sweep["stopped"] == "interrupted at 4; the same command goes on from there"
+    assert (sweep["n_env_max"], sweep["points"][-1]) == (2, {"n_env": 4, "n_run": 0, "n_recording": 1})
+    assert sweep["ends"] == "interrupted at 4; the same command goes on from there"
     assert _made(tmp_path) == [(2, 0), (2, 1), (4, 0)]
     done = _limited(gsb_record, limited, tmp_path, "none")
     assert done.returncode == 0, done.stderr

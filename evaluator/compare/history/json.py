@@ -29,8 +29,8 @@ def dump_json(history: History) -> str:
                 {
                     "label": point.label,
                     "begins_utc": point.begins or None,
-                    "recordings": len(point.runs),
-                    "unreadable": [{"path": values_of(u.path), "reason": str(u.error)} for u in point.unreadable],
+                    "n_recording": len(point.runs),
+                    "unreadable": [{"file": values_of(u.path), "reason": str(u.error)} for u in point.unreadable],
                 }
                 for point in history.points
             ],
@@ -59,7 +59,7 @@ def _configuration(one: Traced, history: History) -> dict[str, Any]:
             {
                 "point": entry.point,
                 "version": entry.group.key.version,
-                "complete": len(entry.group.complete),
+                "n_run": len(entry.group.complete),
                 "outcomes": entry.group.outcomes,
             }
             for entry in one.series.entries

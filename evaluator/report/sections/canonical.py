@@ -49,14 +49,14 @@ def _cells(law: Law) -> tuple[Cell, ...]:
     difference, predicted = Cell(NONE), Cell(NONE)
     if law.difference is None or law.predicted is None:
         verdict = Cell("no verdict", notes=(law.held_missing,), tone=Tone.QUIET)
-        value = Cell(f"{law.measured:.5g} {interval}".rstrip(), law.measured, notes=(f"sd {law.spread:.2g}",))
+        value = Cell(f"{law.measured:.5g} {interval}".rstrip(), law.measured, notes=(f"sd {law.sd:.2g}",))
     else:
         difference = Cell(f"{law.difference:.3g} {interval}".rstrip(), law.difference)
         value, predicted = Cell(f"{law.measured:.5g}", law.measured), Cell(f"{law.predicted:.5g}", law.predicted)
-    envs = Cell(f"{law.count} of {law.of_envs}", law.count, notes=(law.absent,) if law.absent else ())
+    envs = Cell(f"{law.count} of {law.of_envs}", law.count, notes=(law.left_out,) if law.left_out else ())
     return (
         Cell(law.label), Cell(law.title + unit), envs,
-        value, predicted, difference, Cell(f"{law.tolerance:.3g}", law.tolerance, notes=(law.of,)),
+        value, predicted, difference, Cell(f"{law.tolerance:.3g}", law.tolerance, notes=(law.tolerance_formula,)),
         Cell(changes or NONE), verdict,
     )  # fmt: skip
 

@@ -236,7 +236,7 @@ def _said(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
         doubling = f", doubling in {one.doubling_time:.2g} s" if one.doubling_time else ""
         said.append(
             f"Dashed: the exponential through {fits[0].label}, {one.rate:.3g} per s{doubling}, fitted in the shaded "
-            f"window from {one.begin_s:g} to {one.end_s:g} s (R² {one.r_squared:.2f}, {one.points} points)."
+            f"window from {one.begin_s:g} to {one.end_s:g} s (R² {one.r_squared:.2f}, {one.n_point} points)."
         )
     elif points < chart.LINE_FROM:
         said.append(f"States were recorded at {plural(points, 'step')}: too few for a line, and for a growth rate.")

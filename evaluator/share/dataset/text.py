@@ -83,9 +83,10 @@ def dump_verification(verification: Verification) -> str:
         "exit_code": int(verification.exit_code),
         **picked(manifest, "title licence written_by"),
         "content_sha256": manifest.identity,
-        "files": len(manifest.sums) + 2,
-        **picked(verification, "recordings bytes fetched_bytes"),
+        "n_file": len(manifest.sums) + 2,
+        "n_recording": verification.recordings,
+        **picked(verification, "bytes fetched_bytes"),
         "tables": list(verification.tables),
-        "findings": [{"kind": f.kind.word, "path": f.path, "said": f.said} for f in verification.findings],
+        "findings": [{"kind": f.kind.word, "file": f.path, "said": f.said} for f in verification.findings],
         "not_looked_at": list(verification.unchecked),
     }))  # fmt: skip
