@@ -19,6 +19,7 @@ from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
 
+from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.writing import create, reopen
 
 OUTPUT = "output"
@@ -30,17 +31,35 @@ _BOOT_CHARACTERS = 8
 
 @contextmanager
 def scratch_folder() -> Iterator[tuple[Path, FileIO]]:
-    """A new folder and its open OUTPUT, which the run's process has to inherit; the folder is removed afterwards."""
-    remove_abandoned()
-    folder = Path(tempfile.mkdtemp(prefix="gsb-new-"))
+    """A new folder and its open OUTPUT, which the run's process has to inherit; the folder is removed afterwards.
+
+    GsbError where there is no room for it.
+    """
+    with making():
+        remove_abandoned()
+        folder = Path(tempfile.mkdtemp(prefix="gsb-new-"))
     try:
-        with create(folder / OUTPUT) as output:
+        with making():
+            output = create(folder / OUTPUT)
+        with output:
             with suppress(OSError):  # a file system without locks: then nobody finds it abandoned, either
                 fcntl.flock(output, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            folder = folder.rename(folder.with_name(folder.name.replace("gsb-new-", _prefix())))
+            with making():
+                folder = folder.rename(folder.with_name(folder.name.replace("gsb-new-", _prefix())))
             yield folder, output
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def making() -> Iterator[None]:
+    """GsbError where temporary files cannot be made."""
+    try:
+        yield
+    except OSError as error:
+        where = f" {error.filename}" if error.filename else ""
+        reason = f"cannot make the temporary file{where}: {error.strerror}"
+        raise GsbError(f"{reason}; set TMPDIR to a folder that can be written and has room") from None
 
 
 def remove_abandoned() -> None:

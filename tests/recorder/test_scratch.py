@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from gpusimbench.recorder.process import scratch
+from gpusimbench.schemas.errors import GsbError
 from tests.conftest import command
 
 
@@ -103,3 +104,11 @@ def test_a_later_run_removes_what_killed_ones_left(tmp_path: Path, temporary: Pa
         with scratch.scratch_folder() as (folder, _):
             assert folder.is_dir()
     assert list(temporary.glob("gsb-run-*")) == []
+
+
+def test_a_folder_that_cannot_be_made(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Say which, why, and what to do: TMPDIR is full, or was removed after the first of many runs."""
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary / "gone"))
+    wanted = f"cannot make the temporary file {temporary}/gone/gsb-new-.*: No such file or directory; set TMPDIR to a"
+    with pytest.raises(GsbError, match=wanted), scratch.scratch_folder():
+        pass
