@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,8 +15,11 @@ from pathlib import Path
 
 import pytest
 
+from gpusimbench import open_recording
 from gpusimbench.recorder.process import scratch
 from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.provenance import ENGINE_LOG
 from tests.conftest import command
 
 
@@ -112,3 +116,16 @@ def test_a_folder_that_cannot_be_made(temporary: Path, monkeypatch: pytest.Monke
     wanted = f"cannot make the temporary file {temporary}/gone/gsb-new-.*: No such file or directory; set TMPDIR to a"
     with pytest.raises(GsbError, match=wanted), scratch.scratch_folder():
         pass
+
+
+def test_a_folder_that_is_removed_during_a_run(tmp_path: Path, temporary: Path) -> None:
+    """End the recording as ever, and say in its log that the log is gone: systems remove old temporary files."""
+    run = [*command("gsb-record"), "--sim", "mujoco", "--phases", "capture", "--n-env", "4", "--steps", "2000"]
+    recorder = subprocess.Popen([*run, "--runs", "1", "--out", str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    while not any(path.stat().st_size for path in tmp_path.glob("*.partial")):
+        time.sleep(0.01)
+    (folder,) = temporary.glob("gsb-run-*")
+    shutil.rmtree(folder)
+    path = recorder.communicate()[0].strip()
+    assert open_recording(path).status == "complete"
+    assert Container(path).attachment(ENGINE_LOG) == b"--- what was printed cannot be read: No such file or directory\n"
