@@ -93,8 +93,9 @@ class MemoryTrace:
     total_bytes  capacity, 0 where unknown
     others       processes beside the run's own and their bytes, None where either is unknown, one per sample; empty
                  where no sample tells
+    omitted      readings between the sample before and this one that are not here since both are equal to them, shape
+                 [sample]
     reserved     what the driver keeps for itself [byte], by checkpoint
-    omitted      readings that are not here, each equal to the one before and the one behind
     """
 
     time_ns: NDArray[np.int64]
@@ -102,14 +103,14 @@ class MemoryTrace:
     phase: tuple[str, ...]
     checkpoint: tuple[str, ...]
     total_bytes: int
+    omitted: NDArray[np.int64]
     others: tuple[_Others, ...] = ()
     reserved: dict[str, int] = field(default_factory=dict)
-    omitted: int = 0
 
     @property
     def readings(self) -> int:
         """How many readings were taken."""
-        return len(self.time_ns) + self.omitted
+        return len(self.time_ns) + int(self.omitted.sum())
 
     def most_others(self, *, checkpoint: str = "", phase: str = "") -> tuple[int, int | None] | None:
         """The most processes beside the run's own at a checkpoint, or in a phase, and the most bytes that they held.
@@ -214,8 +215,9 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
     for topic in messages.topics("/memory/"):
         # hours of readings are many: nothing but numbers is kept of each, and one text for all that have it
         times, used, total = list[NDArray[np.int64]](), list[NDArray[np.int64]](), 0
+        omitted = list[NDArray[np.int64]]()
         phases, checkpoints, texts = list[str](), list[str](), dict[str, str]()
-        others, kept, reserved, omitted = list[_Others](), dict[_Others, _Others](), dict[str, int](), 0
+        others, kept, reserved = list[_Others](), dict[_Others, _Others](), dict[str, int]()
         for part in messages.columns(topic, "gsb.v1.MemorySample", _SAMPLE):
             numbers, which = part.numbers, part.which.tolist()
             if max(numbers[name].max() for name in ("used_bytes", "other_bytes", "reserved_bytes")) >= _MAX_BYTES:
@@ -223,7 +225,7 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
             times.append(numbers["monotonic_ns"].view(np.int64))
             used.append(numbers["used_bytes"].astype(np.int64))
             total = int(numbers["total_bytes"][-1])
-            omitted += int(numbers["omitted_readings"].sum())
+            omitted.append(numbers["omitted_readings"].astype(np.int64))
             shapes = [
                 _Shape(texts.setdefault(s.phase, s.phase), texts.setdefault(s.checkpoint, s.checkpoint), s)
                 for s in part.parsed
@@ -241,9 +243,9 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
                 tuple(phases),
                 tuple(checkpoints),
                 total,
+                np.concatenate(omitted),
                 tuple(others) if set(kept) != {_UNTOLD} else (),
                 reserved,
-                omitted,
             )
     return found
 

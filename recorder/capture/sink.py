@@ -264,8 +264,11 @@ class Sink:
         no good end, even if the caller goes on."""
         unnamed = "out of host memory" if isinstance(error, MemoryError) else type(error).__name__
         what = getattr(error, "strerror", None) or str(error) or unnamed
-        there = self.partial.exists()
-        left = f"what was written is in {self.partial}" if there else f"{self.partial} is there no more"
+        try:
+            written = self.partial.stat().st_size
+            left = f"what was written is in {self.partial}" if written else "nothing was written"
+        except OSError:
+            left = f"{self.partial} is there no more"
         self._lost = f"writing stopped: {what}; {left}"
         return DataLost(self._lost)
 

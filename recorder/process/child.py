@@ -87,7 +87,10 @@ def _log_of(scratch: Path) -> Callable[[], bytes]:
     def read() -> bytes:
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
-        return b"".join(_head(path) for path in sorted(scratch.iterdir()) if path.is_file() and path.stat().st_size)
+        try:
+            return b"".join(_head(path) for path in sorted(scratch.iterdir()) if path.is_file() and path.stat().st_size)
+        except OSError as error:  # systems remove old temporary files by themselves: no reason to lose a recording
+            return f"--- what was printed cannot be read: {error.strerror}\n".encode()
 
     return read
 

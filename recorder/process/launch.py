@@ -20,7 +20,7 @@ from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.interruption import ENDING, MARK, SIGNALS, blocked
 from gpusimbench.recorder.plan import partial_of, release
 from gpusimbench.recorder.process.cage import Cage, Guard
-from gpusimbench.recorder.process.scratch import OUTPUT, scratch_folder
+from gpusimbench.recorder.process.scratch import OUTPUT, making, scratch_folder
 from gpusimbench.recorder.run.pace import BETWEEN
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError
@@ -138,7 +138,7 @@ def launch(
     A run with a time limit that neither ends nor begins to end its recording within GRACE_S more is killed. So is one
     that passes a bound of its cage; nothing is left of that.
 
-    GsbError where no process can be started.
+    GsbError where no process can be started, or there is no room for temporary files.
     """
     try:
         with scratch_folder() as (scratch, printed):
@@ -240,10 +240,12 @@ def _follow(
 ) -> _End:
     end = _End()
     environment = interpreter.environment(scratch)
-    reader, writer = os.pipe()
-    with os.fdopen(reader) as reports, tempfile.TemporaryFile() as given:
+    with making():
+        given = tempfile.TemporaryFile()  # noqa: SIM115 (closed below, and where writing fails)
         given.write(json.dumps(task).encode())
         given.seek(0)
+    reader, writer = os.pipe()
+    with os.fdopen(reader) as reports, given:
         try:
             with blocked():  # until the run can end its recording, an interruption waits
                 child = subprocess.Popen(

@@ -2,6 +2,9 @@
 
 A run's process removes its folder even if its recorder was killed. Where both were killed, a later run removes it: the
 file that a run prints to is locked for as long as any process of the run, or its recorder, has it open.
+
+A folder has the name that others look for once its file is locked, so that no clock has to tell how old it is. The name
+says which boot of which machine it is of: machines with one folder for temporary files may not see each other's locks.
 """
 
 from __future__ import annotations
@@ -11,43 +14,69 @@ import os
 import shutil
 import stat
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
 
+from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.writing import create, reopen
 
 OUTPUT = "output"
 """In the folder: what the run's process prints."""
 
-_PREFIX = "gsb-run-"
-_FRESH_S = 60.0  # a folder this young may not have its lock yet
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
+_BOOT_CHARACTERS = 8
 
 
 @contextmanager
 def scratch_folder() -> Iterator[tuple[Path, FileIO]]:
-    """A new folder and its open OUTPUT, which the run's process has to inherit; the folder is removed afterwards."""
-    remove_abandoned()
-    folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    """A new folder and its open OUTPUT, which the run's process has to inherit; the folder is removed afterwards.
+
+    GsbError where there is no room for it.
+    """
+    with making():
+        remove_abandoned()
+        folder = Path(tempfile.mkdtemp(prefix="gsb-new-"))
     try:
-        with create(folder / OUTPUT) as output:
+        with making():
+            output = create(folder / OUTPUT)
+        with output:
             with suppress(OSError):  # a file system without locks: then nobody finds it abandoned, either
                 fcntl.flock(output, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with making():
+                folder = folder.rename(folder.with_name(folder.name.replace("gsb-new-", _prefix())))
             yield folder, output
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+@contextmanager
+def making() -> Iterator[None]:
+    """GsbError where temporary files cannot be made."""
+    try:
+        yield
+    except OSError as error:
+        where = f" {error.filename}" if error.filename else ""
+        reason = f"cannot make the temporary file{where}: {error.strerror}"
+        raise GsbError(f"{reason}; set TMPDIR to a folder that can be written and has room") from None
+
+
 def remove_abandoned() -> None:
-    """Remove the folders of this user's runs of which no process is left."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+    """Remove the folders of this user's runs on this machine of which no process is left."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{_prefix()}*"):
         with suppress(OSError):  # of another user, or removed meanwhile
             found = folder.lstat()
-            young = time.time() - found.st_mtime < _FRESH_S
-            if young or found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode):
+            if found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode):
                 continue
             with reopen(folder / OUTPUT) as output:
                 fcntl.flock(output, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def _prefix() -> str:
+    try:
+        boot = _BOOT.read_text()[:_BOOT_CHARACTERS]
+    except OSError:
+        boot = os.uname().nodename  # as other machines have other names, mostly
+    return f"gsb-run-{boot}-"

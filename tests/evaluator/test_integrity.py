@@ -251,17 +251,39 @@ def test_the_capture_has_a_clock_of_each_block(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "wrong"),
+    [
+        ({}, {"omitted_readings": 9}, 0),
+        ({"omitted_readings": 1}, {}, 1),
+        ({}, {"used_bytes": 6, "omitted_readings": 9}, 2),
+        ({}, {"phase": "capture", "omitted_readings": 9}, 2),
+        ({}, {"other_processes": 1, "omitted_readings": 9}, 2),
+        ({}, {"omitted_readings": (1 << 32) - 1}, 2),
+    ],
+)
+def test_readings_that_were_left_out(tmp_path: Path, first: dict[str, Any], last: dict[str, Any], wrong: int) -> None:
+    """Believe in readings that were left out between two that are equal, as far as there was time for them."""
+    sample, topic = message_class("gsb.v1.MemorySample"), "/memory/gpu0/device"
+    equal = {"source": 2, "used_bytes": 5, "phase": "timed"}
+    raw = [sample(**{**equal, "monotonic_ns": at, **told}) for at, told in ((10**9, first), (2 * 10**9, last))]
+    shown = Shown(raw=tuple((topic, "gsb.v1.MemorySample", reading) for reading in raw))
+    told = examine(whole(tmp_path, shown=shown)).of(Kind.contradiction)
+    said = f"message {wrong} of {topic} says that {raw[wrong - 1].omitted_readings} reading"
+    assert [why.startswith(said) for why in told] == [True] * bool(wrong)
+
+
 def test_a_comparison_that_cannot_end_is_not_called_kept(tmp_path: Path) -> None:
-    """Find a phase without an end beside a memory reading that cannot be; without one, leave the clocks open."""
+    """Find a phase without an end beside a memory reading that cannot be; without one, leave open what needs it."""
     absurd = message_class("gsb.v1.MemorySample")(source=1, monotonic_ns=1, used_bytes=1 << 63, phase="timed")
     reading = ("/memory/host", "gsb.v1.MemorySample", absurd)
     both = examine(whole(tmp_path, shown=Shown(raw=(_event(1, "timed", 10), reading))))
     assert both.of(Kind.clock) == ("phase timed has 1 begins and ends, not one of each",)
     report = check([examine(whole(tmp_path, shown=Shown(raw=(reading,))))], [INTEGRITY])
     assert {finding.rule.id for finding in report.findings} == {"streams"}
-    assert {one.rule.id: one.reason for one in report.unchecked} == {
-        "clocks": "/memory/host has a reading that no memory can have"
-    }
+    assert {one.rule.id: one.reason for one in report.unchecked} == dict.fromkeys(
+        ("clocks", "consistent"), "/memory/host has a reading that no memory can have"
+    )
 
 
 def test_what_an_error_leaves_open_is_told() -> None:

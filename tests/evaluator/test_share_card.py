@@ -273,6 +273,21 @@ def test_what_was_written_is_refreshed(
     assert "nothing to write" in capsys.readouterr().out
 
 
+def test_a_set_of_an_earlier_version_is_written_anew(
+    tmp_path: Path, small: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Do what gsb-share verify says of a manifest of an earlier version; leave one of a later version as it is."""
+    described(tmp_path, [small])
+    manifest = tmp_path / "manifest.json"
+    now = manifest.read_text()
+    for version in (1, 3):
+        manifest.write_text(now.replace('"schema_version": 2', f'"schema_version": {version}'))
+        assert main(["verify", str(tmp_path)]) == 3
+        assert f"schema version {version}, and 2 is known here" in capsys.readouterr().err
+        assert main(["card", str(tmp_path), *WORDS, *WHEN, "--update"]) == (0 if version == 1 else 3)
+        assert (manifest.read_text() == now) == (version == 1)
+
+
 def test_damaged_recordings_are_named(
     tmp_path: Path, small_set: list[Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -228,6 +228,19 @@ def test_a_folder_that_is_deleted(tmp_path: Path) -> None:
         sink.finish("COMPLETE", "", last_step=0, peak_rss_bytes=0)
 
 
+def test_a_disk_that_takes_nothing(tmp_path: Path) -> None:
+    """Send nobody to a file without a byte, which gsb-record removes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        sink = Sink(tmp_path / "x.mcap", compression="none")
+        with pytest.raises(DataLost, match="^writing stopped: File too large; nothing was written$"):
+            sink.channel("/run/event", "gsb.v1.Event")
+        sink.abandon()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
 def test_a_file_system_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rename where hard links are not there, but never over a file, and not after any other error."""
 

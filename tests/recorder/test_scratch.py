@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from io import FileIO
 from pathlib import Path
 
 import pytest
 
+from gpusimbench import open_recording
 from gpusimbench.recorder.process import scratch
+from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.provenance import ENGINE_LOG
 from tests.conftest import command
 
 
@@ -24,12 +31,6 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TMPDIR", str(folder))
     monkeypatch.setattr(tempfile, "tempdir", None)
     return folder
-
-
-def age(path: Path) -> None:
-    """Make a folder, or a link itself, an hour old."""
-    then = time.time() - 3600
-    os.utime(path, (then, then), follow_symlinks=False)
 
 
 def test_a_folder_is_removed_when_its_run_is_over(temporary: Path) -> None:
@@ -46,7 +47,6 @@ def test_a_folder_is_removed_when_its_run_is_over(temporary: Path) -> None:
 def test_a_folder_in_use_stays(temporary: Path) -> None:
     """Leave a folder while its recorder, or a process that inherited its output, is there; remove it afterwards."""
     with scratch.scratch_folder() as (folder, output):
-        age(folder)
         scratch.remove_abandoned()
         assert folder.is_dir()
         held = ("import sys; sys.stdin.read()",)
@@ -55,24 +55,40 @@ def test_a_folder_in_use_stays(temporary: Path) -> None:
         scratch.remove_abandoned()
         assert folder.is_dir()
         child.communicate()
-        age(folder)
         scratch.remove_abandoned()
         assert not folder.exists()
 
 
 def test_what_is_not_known_to_be_abandoned_stays(temporary: Path) -> None:
-    """Leave a young folder, a folder without the file, a link, and folders of others."""
-    young, bare, other = (temporary / name for name in ("gsb-run-young", "gsb-run-bare", "others"))
-    for folder in (young, bare, other):
-        folder.mkdir()
-    for folder in (young, other):
-        (folder / scratch.OUTPUT).touch()
-    (temporary / "gsb-run-link").symlink_to(other)
-    for path in (bare, other, temporary / "gsb-run-link"):
-        age(path)
+    """Leave a folder without the file, a link, folders of others, and those of machines whose locks may not be seen."""
+    with scratch.scratch_folder() as (folder, _):
+        machine = folder.name.rpartition("-")[0]
+    bare, other, elsewhere = (temporary / name for name in (f"{machine}-bare", "others", "gsb-run-0-elsewhere"))
+    link, abandoned = temporary / f"{machine}-link", temporary / f"{machine}-abandoned"
+    for made in (bare, other, elsewhere, abandoned):
+        made.mkdir()
+    for made in (other, elsewhere, abandoned):
+        (made / scratch.OUTPUT).touch()
+    link.symlink_to(other)
     scratch.remove_abandoned()
-    assert {path.name for path in temporary.iterdir()} == {"gsb-run-young", "gsb-run-bare", "gsb-run-link", "others"}
+    assert {*temporary.iterdir()} == {bare, other, elsewhere, link}
     assert (other / scratch.OUTPUT).exists()
+
+
+def test_no_other_run_takes_a_folder_that_is_not_locked_yet(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave it also where it seems old: a process can be stopped for long, and a file server has a clock of its own."""
+    lock = fcntl.flock
+
+    def lock_late(output: FileIO, how: int) -> None:
+        (folder,) = temporary.iterdir()
+        os.utime(folder, (0, 0))
+        monkeypatch.setattr(fcntl, "flock", lock)
+        scratch.remove_abandoned()
+        lock(output, how)
+
+    monkeypatch.setattr(fcntl, "flock", lock_late)
+    with scratch.scratch_folder() as (folder, _):
+        assert (folder / scratch.OUTPUT).exists()
 
 
 def test_a_later_run_removes_what_killed_ones_left(tmp_path: Path, temporary: Path) -> None:
@@ -87,9 +103,29 @@ def test_a_later_run_removes_what_killed_ones_left(tmp_path: Path, temporary: Pa
     os.kill(int(child[0]), signal.SIGKILL)
     recorder.communicate()
     (left,) = temporary.glob("gsb-run-*")
-    age(left)
     deadline = time.monotonic() + 60
     while left.exists() and time.monotonic() < deadline:  # the killed process may hold its lock for a moment
         with scratch.scratch_folder() as (folder, _):
             assert folder.is_dir()
     assert list(temporary.glob("gsb-run-*")) == []
+
+
+def test_a_folder_that_cannot_be_made(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Say which, why, and what to do: TMPDIR is full, or was removed after the first of many runs."""
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary / "gone"))
+    wanted = f"cannot make the temporary file {temporary}/gone/gsb-new-.*: No such file or directory; set TMPDIR to a"
+    with pytest.raises(GsbError, match=wanted), scratch.scratch_folder():
+        pass
+
+
+def test_a_folder_that_is_removed_during_a_run(tmp_path: Path, temporary: Path) -> None:
+    """End the recording as ever, and say in its log that the log is gone: systems remove old temporary files."""
+    run = [*command("gsb-record"), "--sim", "mujoco", "--phases", "capture", "--n-env", "4", "--steps", "2000"]
+    recorder = subprocess.Popen([*run, "--runs", "1", "--out", str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    while not any(path.stat().st_size for path in tmp_path.glob("*.partial")):
+        time.sleep(0.01)
+    (folder,) = temporary.glob("gsb-run-*")
+    shutil.rmtree(folder)
+    path = recorder.communicate()[0].strip()
+    assert open_recording(path).status == "complete"
+    assert Container(path).attachment(ENGINE_LOG) == b"--- what was printed cannot be read: No such file or directory\n"

@@ -16,6 +16,7 @@ from gpusimbench.schemas.provenance import LOGGED, REAL, SCENE
 from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.treatment import Intervention
 
+_LEAST_READING_NS = 1_000  # no memory is read in less
 _PHASE_OF = {"stall": "capture", "drain": "capture"}
 """Clocks whose phase has another name."""
 
@@ -47,6 +48,23 @@ def _sampled_clocks(recording: Recording, problems: Problems) -> None:
     for topic, times in (memory | hardware).items():
         if (np.diff(times) < 0).any():
             problems.add(Kind.clock, f"the clock of {topic} runs backwards")
+
+
+def _omitted_readings(recording: Recording, problems: Problems) -> None:
+    for source, trace in recording.memory.items():
+        between = np.diff(trace.time_ns, prepend=trace.time_ns[:1])
+        for at in np.flatnonzero(trace.omitted).tolist():
+            ends = {
+                (trace.used_bytes[i], trace.phase[i], trace.checkpoint[i], *trace.others[i : i + 1])
+                for i in (max(at - 1, 0), at)
+            }
+            if not at or len(ends) > 1 or trace.omitted[at] > between[at] / _LEAST_READING_NS:
+                count = plural(int(trace.omitted[at]), "reading")
+                left_out = f"{count} between it and the message before were left out as equal to both"
+                problems.add(
+                    Kind.contradiction, f"message {at + 1} of /memory/{source} says that {left_out}, which cannot be"
+                )
+                break
 
 
 def _phases(recording: Recording, problems: Problems) -> None:
@@ -184,7 +202,7 @@ _CHECKS: dict[Kind, tuple[Callable[[Recording, Problems], None], ...]] = {
     Kind.clock: (_event_clock, _sampled_clocks, _phases),
     Kind.fingerprint: (_fingerprints,),
     Kind.observer: (_observer,),
-    Kind.contradiction: (_status, _gates, _intervals, _states, _scene, _varied),
+    Kind.contradiction: (_omitted_readings, _status, _gates, _intervals, _states, _scene, _varied),
     Kind.dropout: (_dropouts,),
 }
 """Comparisons by the kind that each finds; one that cannot be read to its end leaves the others as they are."""

@@ -141,8 +141,10 @@ def is_manifest(data: bytes) -> bool:
         return False
 
 
-def load_manifest(data: bytes) -> Manifest:
+def load_manifest(data: bytes, *, older: bool = False) -> Manifest:
     """Read a stranger's manifest; DamagedRecording names the first thing that cannot be.
+
+    older  whether one of an earlier schema version will do: all have these fields, and tables of other columns
 
     No path in it leads out of the set's folder, and none is there twice, or is another one on some systems.
     """
@@ -152,10 +154,11 @@ def load_manifest(data: bytes) -> Manifest:
     _check_keys(data)
     if record.get("kind") != KIND:
         raise DamagedRecording(f"{MANIFEST} is not that of a set of recordings: 'gsb-share card' writes one")
-    if record.get("schema_version") != SCHEMA_VERSION:
+    version = record.get("schema_version")
+    if version not in range(1 if older else SCHEMA_VERSION, SCHEMA_VERSION + 1):
         raise DamagedRecording(
-            f"{MANIFEST} has schema version {str(record.get('schema_version'))[:20]}, and {SCHEMA_VERSION} is known "
-            "here: use the version of gpusimbench that wrote it, or make the set anew with this one"
+            f"{MANIFEST} has schema version {json.dumps(version)[:20]}, and {SCHEMA_VERSION} is known here: use the "
+            "version of gpusimbench that wrote it, or write it anew with this one: gsb-share card --update"
         )
     try:
         manifest = Manifest(

@@ -200,7 +200,7 @@ def _before(folder: Path, found: Found, update: bool) -> Manifest | None:
         )
     if not update:
         raise UsageError(f"{folder} has been described before ({few(there, _MOST_NAMED)}): --update does it anew")
-    return load_manifest(data)
+    return load_manifest(data, older=True)
 
 
 def _check_edits(folder: Path, before: Manifest | None, texts: Mapping[str, bytes]) -> None:
