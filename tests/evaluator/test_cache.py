@@ -210,7 +210,7 @@ def test_a_result_of_another_kind_is_none(tmp_path: Path, small: Path) -> None:
     store = Store(tmp_path)
     known = reader.KnownFiles(store, Reader(1.0))
     seen = stamp.stamp_of(small)
-    assert seen is not None
+    assert seen
     store.put(store.key(stamp.Stamp, seen), "hash")
     store.put(known._key("hash", seen), [1, 2])
     assert known.find(small) is None

@@ -140,7 +140,7 @@ def test_equal_recordings_are_equal(tmp_path: Path) -> None:
     compared = found.compared
     assert compared.state_steps == compared.hash_steps == StepRange(STEPS + 1, 0, STEPS)
     assert (compared.n_env, compared.left_out, compared.fields[0].numbers) == (3, (), 9 * 3 * 27 * 3)
-    assert found.growth is not None
+    assert not isinstance(found.growth, Missing)
     assert set(found.growth.max_spatial) == {0.0}
     assert (found.growth.to_1mm, found.growth.fit) == (None, Missing("nothing moved apart"))
 
@@ -182,7 +182,7 @@ def test_zeros_and_payloads_are_bits(tmp_path: Path) -> None:
     assert found.first is not None
     assert found.first.state is not None
     assert (found.first.step_a, found.first.state.number.distance, found.max_ulp) == (2, 0.0, 5)
-    assert found.growth is not None
+    assert not isinstance(found.growth, Missing)
     assert found.growth.not_finite_from == 2
     assert "invalid" in found.notes[0]
     assert compare(a, a).bit_identical  # the same payload
@@ -260,7 +260,7 @@ def test_origins_are_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (found.verdict, found.bitwise, found.bit_identical) == (Verdict.WITHIN_RESOLUTION, False, False)
     assert (found.max_ulp, found.same_up_to_env_order, found.compared.hash_steps) == (None, None, None)
     assert "origins" in found.splits.classes_missing
-    assert found.growth is not None
+    assert not isinstance(found.growth, Missing)
     assert set(found.growth.max_spatial) == {0.0}
 
     b = record(tmp_path, changed(base, 2, lambda p: p[2, 7, 1:2].__iadd__(0.002)), origins=origins)
@@ -355,7 +355,7 @@ def test_an_exponential_is_measured(tmp_path: Path) -> None:
 
     a, b = record(tmp_path, lambda _: grid(2), steps=100, dt=0.02), record(tmp_path, grown, steps=100, dt=0.02)
     growth = compare(a, b).growth
-    assert growth is not None
+    assert not isinstance(growth, Missing)
     assert growth.fit
     assert growth.fit.rate == pytest.approx(9.0, rel=1e-4)
     assert growth.fit.r_squared == pytest.approx(1, abs=1e-6)
@@ -463,7 +463,7 @@ def test_distances_that_are_not_finite(tmp_path: Path) -> None:
     a = record(tmp_path, still())
     found = compare(a, record(tmp_path, changed(still(), 5, with_nan)))
     assert [(f.different, f.max_distance) for f in found.compared.fields] == [(STEPS - 4, None)]
-    assert found.growth is not None
+    assert not isinstance(found.growth, Missing)
     assert (found.growth.not_finite_from, found.growth.fit) == (5, Missing("no finite positions moved apart"))
     (field,) = compare(a, record(tmp_path, changed(still(), 5, and_moved))).compared.fields
     assert field.max_distance == pytest.approx(0.5, rel=1e-6)

@@ -74,7 +74,7 @@ def test_same_as_all_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read
 def test_rate_is_found(tmp_path: Path) -> None:
     """Fit the rate that the environments were given, within the declared window."""
     found = known(record(tmp_path))
-    assert found.fit is not None
+    assert not isinstance(found.fit, Missing)
     assert found.fit.rate == pytest.approx(RATE, rel=0.01)
     assert found.fit.r_squared > 0.99
     inside = [d for d, t in zip(found.largest, found.times, strict=True) if found.fit.begin_s <= t <= found.fit.end_s]

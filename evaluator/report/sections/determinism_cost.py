@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
@@ -48,7 +48,7 @@ def section(source: Source) -> Section | None:
     if remarks := [Item(family_name(one), items=tuple(map(Item, lines))) for one, lines in told if lines]:
         title = "What must be known to compare them"
         blocks.append(Section("prices-remarks", title, (items(*remarks),), plural(len(remarks), "note"), folded=True))
-    prices = sum(price.speed.ratio is not None for family in families for price in family.prices)
+    prices = sum(known(price.speed.ratio) is not None for family in families for price in family.prices)
     said = f"{plural(prices, 'level')} with a price, of {plural(len(families), 'configuration')}"
     return Section("prices", "What determinism costs", tuple(blocks), said, folded=True)
 
