@@ -16,7 +16,9 @@ from gpusimbench.schemas.location import Location
 
 _DEEPEST = 8
 
-MISSING = "_missing"
+_NO_VALUE = "missing"
+
+MISSING = f"_{_NO_VALUE}"
 """Behind the name of a key: that of the key with the reason why there is no value."""
 
 
@@ -28,7 +30,7 @@ def values_of(result: Any) -> Any:
     goes through `plain`, which bounds its depth.
     """
     if isinstance(result, Missing):
-        return {MISSING.lstrip("_"): result.reason}
+        return {_NO_VALUE: result.reason}
     if is_dataclass(result) and not isinstance(result, type):
         return picked(result, *(field.name for field in fields(result)))
     if isinstance(result, Mapping):

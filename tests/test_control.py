@@ -188,7 +188,7 @@ def test_a_capture_that_changes_states(tmp_path: Path) -> None:
     found = evaluate(tmp_path, 0.05)
     changed = found["capture_changes_states"]
     assert changed["value"] is None
-    assert "2 of 2 runs are distinct, so they may differ anyway" in changed["missing"]
+    assert "2 of 2 runs are distinct, so they may differ anyway" in changed["value_missing"]
     assert changed["extra"] == {"differ": 2, "of": 2}
 
 

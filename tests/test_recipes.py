@@ -224,9 +224,9 @@ def section(source: Source) -> Section:
 ''',
     )
     copy.edit(
-        "evaluator/report/document.py", "    guidelines.section,\n", "    guidelines.section,\n    greeting.section,\n"
+        "evaluator/report/document.py", "    deviations.section,\n", "    greeting.section,\n    deviations.section,\n"
     )
-    copy.edit("evaluator/report/document.py", "    guidelines,\n", "    greeting,\n    guidelines,\n")
+    copy.edit("evaluator/report/document.py", "    episodes,\n", "    episodes,\n    greeting,\n")
     copy.run("gpusimbench.evaluator.cli.eval", str(SHIPPED), "--html", "report", "--no-cache")
     page = (copy.folder / "report" / "index.html").read_text(encoding="utf-8")
     assert "<p>There are 1 groups.</p>" in page

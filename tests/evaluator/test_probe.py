@@ -337,7 +337,7 @@ def test_a_plan_goes_on_where_it_stopped() -> None:
     assert len(PLAN.missing([foreign])) == len(list(PLAN.arms()))
 
 
-def _probe(folder: Path) -> None:
+def _probed(folder: Path) -> None:
     done = call(
         "gsb-probe", "--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", folder / "out",
         "--json", folder / "answers.json", code=0,
@@ -350,7 +350,7 @@ def _probe(folder: Path) -> None:
 
 def of_mujoco() -> Path:
     """A probe of MuJoCo C, small; must not be written to."""
-    return made_once("probe-of-mujoco", _probe)
+    return made_once("probe-of-mujoco", _probed)
 
 
 @pytest.fixture(scope="module")

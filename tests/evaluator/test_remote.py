@@ -103,8 +103,8 @@ def test_facts_cost_a_small_part(web: Web, large: list[Path], capsys: pytest.Cap
     assert web.sent < large[0].stat().st_size / 10
     assert info.main(["--no-verify", "--json", "-", str(large[0])]) == 0
     (facts,) = json.loads(capsys.readouterr().out)["files"]
-    assert remote_facts.pop("path") == f"{web.address}/a.mcap"
-    assert facts.pop("path") == str(large[0])
+    assert remote_facts.pop("file") == f"{web.address}/a.mcap"
+    assert facts.pop("file") == str(large[0])
     assert remote_facts.pop("unchecked").keys() >= facts.pop("unchecked").keys()  # of a file elsewhere less is read
     assert remote_facts == facts
 
@@ -151,7 +151,7 @@ def test_one_difference_costs_its_blocks(web: Web, large: list[Path], capsys: py
     for a, b in ([f"{web.address}/{path.name}" for path in large], map(str, large)):
         assert diff.main([a, b, "--env", "3", "--no-verify", "--json", "-"]) == 4
         document = json.loads(capsys.readouterr().out)
-        assert (document["a"].pop("path"), document["b"].pop("path")) == (a, b)
+        assert (document["a"].pop("file"), document["b"].pop("file")) == (a, b)
         found.append(document)
     assert found[0] == found[1]
     assert web.sent < 0.75 * sum(path.stat().st_size for path in large)

@@ -337,7 +337,7 @@ def test_outputs(reference: Path, runs: dict[str, Path], tmp_path: Path, gsb_eva
     assert extra["tosses"] == 48
     assert "per_toss" not in extra
     short = gsb_eval(reference, runs["elliptic"]).stdout
-    assert "of 48 tosses; error of rotation" in short
+    assert "of 48 tosses; error of rotation" in " ".join(short.split())
     alone = json.loads(gsb_eval(runs["elliptic"], "--json", "-").stdout)
     assert alone["groups"][0]["metrics"]["toss_position"]["value"] is None
 

@@ -162,7 +162,7 @@ def test_conforms(variant: Variant, check: str) -> None:
         assert found["outcome"] == "failed", (
             f"known to fail ({reason}), and it is {found['outcome']}: correct the table"
         )
-        pytest.xfail(f"{reason}: {found['why']}")
+        pytest.xfail(f"{reason}: {found['reason']}")
     if found["outcome"] == "skipped" and found["reason"].startswith(_VARYING):
         pytest.skip(found["reason"])
     expected = dict(variant.skipped)
