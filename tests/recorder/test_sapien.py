@@ -375,9 +375,9 @@ def test_sizes_are_counted_before_the_gpu_is_on(no_downloads: Path, monkeypatch:
         order.append("enable")
         raise UsageError("no GPU here")
 
-    monkeypatch.setattr(settings, "check_gpu", lambda: order.append("check"))
+    monkeypatch.setattr("gpusimbench.recorder.simulators.sapien.simulator.check_gpu", lambda: order.append("check"))
     monkeypatch.setattr("gpusimbench.recorder.simulators.sapien.sizes.measure", counted)
-    monkeypatch.setattr(settings, "enable_gpu", enabled)
+    monkeypatch.setattr("gpusimbench.recorder.simulators.sapien.simulator.enable_gpu", enabled)
     simulator = made(make_scene("free-fall"), device="cuda")
     with pytest.raises(UsageError, match="no GPU here"):
         simulator.build()

@@ -96,7 +96,7 @@ def _impatient(environment: dict[str, str], *arguments: object) -> subprocess.Co
 def test_a_run_ends_itself(gsb_record: Command, tmp_path: Path, phases: list[str], more: tuple[object, ...]) -> None:
     """End the recording with the phase that was cut short, keep the states so far, and end with 1."""
     done = gsb_record(
-        "--sim", "mujoco", "--scene", "free-fall", "--n-env", 16, "--runs", 1, "--timeout", 2, *more, "--out", tmp_path
+        "--sim", "mujoco", "--scene", "free-fall", "--n-env", 16, "--runs", 1, "--timeout", 4, *more, "--out", tmp_path
     )
     assert done.returncode == 1, done.stderr
     (file,) = tmp_path.iterdir()
@@ -104,7 +104,7 @@ def test_a_run_ends_itself(gsb_record: Command, tmp_path: Path, phases: list[str
     recording = open_recording(file)
     verify(recording)
     began = [event.phase for event in recording.events if event.kind == "PHASE_BEGIN"]
-    assert (recording.status, recording.reason) == ("failed", f"timeout: more than 2 s, in phase {began[-1]}")
+    assert (recording.status, recording.reason) == ("failed", f"timeout: more than 4 s, in phase {began[-1]}")
     assert read_end(file).outcome.cause == "TIMEOUT"
     assert began == phases[: len(began)]  # a machine that is very slow does not come to the last
     if began[-1] == "capture":
