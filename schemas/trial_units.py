@@ -69,7 +69,7 @@ def extent_of(scene: Mapping[str, Any], group: str) -> Extent | None:
         if scene.get("board") and body.get("name") == scene["board"]:
             length, width, _ = checks.vector(shape.get("size"), 3, "the board's size")
             return Extent("the board", (x - length / 2, y - width / 2), (x + length / 2, y + width / 2), edge)
-    reached = [(at, _reach(shape)) for _, shape, at in shaped if shape.get("kind") != "plane"]
+    reached = [(at, reach_of(shape)) for _, shape, at in shaped if shape.get("kind") != "plane"]
     if not reached:
         return None
     margin = max(0.0, *(z + reach for (_, _, z), reach in reached))
@@ -140,10 +140,13 @@ def _is_box(body: Mapping[str, Any], shape: Mapping[str, Any], group: str) -> bo
     return body.get("group") == group and shape.get("kind") == "box"
 
 
-def _reach(shape: Mapping[str, Any]) -> float:
-    """How far a shape reaches from its centre at most [m]."""
+def reach_of(shape: Mapping[str, Any], *, most: float = sys.float_info.max) -> float:
+    """How far a box, sphere or capsule reaches from its centre [m]; 0 of another shape.
+
+    DamagedRecording where a size is unreadable, or a radius or length is above `most` [m].
+    """
     if shape.get("kind") == "box":
         return math.hypot(*checks.vector(shape.get("size"), 3, "a box's size")) / 2
     sizes = {"sphere": (("radius", 1.0),), "capsule": (("radius", 1.0), ("length", 0.5))}
     parts = sizes.get(str(shape.get("kind")), ())
-    return sum(share * checks.number(shape, name, 0.0, sys.float_info.max) for name, share in parts)
+    return sum(share * checks.number(shape, name, 0.0, most) for name, share in parts)

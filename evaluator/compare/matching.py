@@ -117,7 +117,7 @@ def asked_of(group: Group[Run], across: Collection[str] = ()) -> GroupKey:
     """What its runs were asked for, all of them the same, and the machine; without what follows from a version."""
     key = asked(group.recordings[0])
     plain: dict[str, Any] = {"conditions": ""}
-    options = {name: value for name, value in json.loads(key.options).items() if name not in across}
+    options = {name: value for name, value in key.parsed_options.items() if name not in across}
     plain["options"] = json.dumps(options, sort_keys=True)
     for name in ACROSS:
         if name in across:
@@ -238,8 +238,7 @@ def without_seeds(key: GroupKey, group: Group[Run]) -> GroupKey:
     """A key of the group, of tasks without what seeds decide."""
     if not any(field.group == ENV for run in group.recordings for field in run.fields):
         return key
-    asked = json.loads(key.options or "{}")
-    options = {name: value for name, value in asked.items() if name not in (RESET_SEEDS, RESET_KEYS)}
+    options = {name: value for name, value in key.parsed_options.items() if name not in (RESET_SEEDS, RESET_KEYS)}
     return replace(key, seed=0, options=json.dumps(options, sort_keys=True))
 
 

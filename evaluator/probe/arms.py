@@ -68,7 +68,7 @@ def name_of(arms: Arms) -> str:
     """Simulator, version, level, device."""
     key = arms.key
     level = "" if key.determinism == "default" else f", determinism {key.determinism}"
-    options = "".join(f", {name}={value}" for name, value in json.loads(key.options).items())
+    options = "".join(f", {name}={value}" for name, value in key.parsed_options.items())
     options += "".join(f", {name} {TELLING[name].words(value)}" for name, value in key.settings)
     return f"{key.simulator} {key.version}{level}{options} on {key.device}, {key.scene}"
 

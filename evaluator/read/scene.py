@@ -13,7 +13,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.trial_units import Extent, extent_of
+from gpusimbench.schemas.trial_units import Extent, extent_of, reach_of
 
 Array = npt.NDArray[np.float64]
 
@@ -63,7 +63,7 @@ def radii_of(recording: Recording, field: StateField) -> Array:
     try:
         for body in checks.objects(recording.scene, "bodies"):
             if body.get("group") == field.group:
-                found[checks.text(body, "name")] = _radius(checks.mapping(body, "shape"))
+                found[checks.text(body, "name")] = reach_of(checks.mapping(body, "shape"), most=_FAR_M)
         for floor in checks.objects(recording.geometry or {}, "floors"):
             reach = max(reach, checks.number(floor, "reach", 0.0, _FAR_M))
             reaches = checks.mapping(floor, "reaches")
@@ -79,18 +79,6 @@ def extent_of_trials(recording: Recording, group: str) -> Extent | None:
         return extent_of(recording.scene, group)
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path}: {error}") from None
-
-
-def _radius(shape: dict[str, Any]) -> float:
-    match shape.get("kind"):
-        case "box":
-            return math.hypot(*checks.vector(shape.get("size"), 3, "a box's size")) / 2
-        case "sphere":
-            return checks.number(shape, "radius", 0.0, _FAR_M)
-        case "capsule":
-            half = checks.number(shape, "length", 0.0, _FAR_M) / 2
-            return half + checks.number(shape, "radius", 0.0, _FAR_M)
-    return 0.0
 
 
 def _ground(height: float) -> Support:

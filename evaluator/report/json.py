@@ -126,7 +126,7 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "label": result.label,
         **picked(key, "simulator version device scene n_env dt seed determinism"),
         **key.told,
-        "options": json.loads(key.options),
+        "options": key.parsed_options,
         "switches": json.loads(key.switches) if key.switches else {},
         "n_run": len(result.group.complete),
         "n_recording": len(result.group.recordings),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -12,10 +12,9 @@ from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput, ranked_words, shown_slower
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.results.timed_work import window_key
+from gpusimbench.evaluator.results.timed_work import largest_comparable, window_key
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, Ranked, configuration, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
-from gpusimbench.schemas.configuration import deciding
 
 _UNKNOWN = "no run of this configuration has errors against tosses"
 
@@ -90,7 +89,7 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
         if not (isinstance(result.metrics["fps"].value, Missing) or is_instrument(key)):
             clocked.setdefault((key.scene, key.device), []).append(result)
     for (scene, device), found in sorted(clocked.items()):
-        alike = _comparable(found)
+        alike = largest_comparable(found, lambda r: r.group.key, lambda r: window_key(r.group.key, r.timed))
         if not alike:
             continue
         faults = {r.label: speaks_against(r, results) for r in alike}
@@ -114,14 +113,6 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
             tuple((s, faults[s.result.label]) for s in wrong if first is None or s.fps > first.fps),
             tuple(line for line in timed.remarks(s.result for s in sound[:2]) if line != timed.LEGEND),
         )
-
-
-def _comparable(results: Sequence[GroupResult]) -> list[GroupResult]:
-    alike: dict[Hashable, list[GroupResult]] = {}
-    for result in results:
-        alike.setdefault(window_key(result.group.key, result.timed), []).append(result)
-    several = [found for found in alike.values() if len({r.group.key.simulator for r in found}) > 1]
-    return max(several, key=lambda found: (not deciding(found[0].group.key.settings), len(found)), default=[])
 
 
 def _kind(result: GroupResult, reason: str, results: Sequence[GroupResult]) -> str:

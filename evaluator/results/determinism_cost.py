@@ -175,7 +175,7 @@ def _foreign(result: GroupResult, base: GroupResult) -> list[str]:
     """Options and environment variables that differ and are no part of the level: no differing switch repeats them."""
     own, others = _switches(result), _switches(base)
     said, named = _words(own, others), _changed(own, others)
-    options = _changed(json.loads(result.group.key.options), json.loads(base.group.key.options))
+    options = _changed(result.group.key.parsed_options, base.group.key.parsed_options)
     variables = _changed(_environment(result), _environment(base))
     foreign = [n for n in variables if not _words(_environment(result), _environment(base), n) <= said]
     return [*(name for name in options if name not in named), *foreign]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 from gpusimbench.evaluator.metrics.guidelines import Guideline, guidelines
 from gpusimbench.evaluator.metrics.radar import Axis, Radar, SimulatorResult, radar
@@ -17,7 +16,7 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.metrics import on_radar
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, swept_only
-from gpusimbench.evaluator.results.timed_work import most_common, window_key
+from gpusimbench.evaluator.results.timed_work import largest_comparable, most_common, window_key
 from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, settings_asked
 from gpusimbench.evaluator.runs.labels import Given, labels, options_given
 from gpusimbench.schemas.configuration import deciding
@@ -25,8 +24,6 @@ from gpusimbench.schemas.text import plural
 
 _DISTANCES = (Axis.EMD_TO_REAL, Axis.PARALLEL, Axis.RUN_TO_RUN)
 _NO_SWEEP = "needs a sweep over envs, by at least two simulators under the same conditions"
-
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -100,13 +97,15 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     notes = [f"radar and guidelines leave out instruments: {', '.join(aside)}"] if aside and results else []
 
     ended = [s for s in sweeps if s.n_max is not None]
-    simple = _went_far_enough(_shared([s for s in ended if not s.articulated], lambda s: s.key, _timed_alike))
-    robots = _went_far_enough(_shared([s for s in ended if s.articulated], lambda s: s.key, _timed_alike))
+    simple = _went_far_enough(
+        largest_comparable([s for s in ended if not s.articulated], lambda s: s.key, _timed_alike)
+    )
+    robots = _went_far_enough(largest_comparable([s for s in ended if s.articulated], lambda s: s.key, _timed_alike))
     swept = {p.result.label for s in (*simple, *robots) for p in s.points}
     complete = [r for r in results if r.group.complete]
     # points of a sweep that captured no states would be compared twice
     apart = [r for r in complete if r.label not in swept or r.group.captured]
-    groups = _shared(apart, lambda r: r.group.key, _conditions, _distances)
+    groups = largest_comparable(apart, lambda r: r.group.key, lambda r: _conditions(r.group.key), _distances)
 
     found = [_Parts(group=r) for r in groups]
     for sweep in simple:
@@ -137,25 +136,6 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     if others:
         notes.append(f"radar and guidelines leave out what ran under other conditions: {', '.join(others)}")
     return Comparison(contenders, radar(figures), tuple(guidelines(figures)), tuple(notes))
-
-
-def _shared(
-    items: Sequence[_T],
-    key: Callable[[_T], GroupKey],
-    conditions: Callable[[GroupKey], Hashable],
-    merit: Callable[[_T], int] = lambda _: 0,
-) -> list[_T]:
-    """Those of the condition that most of them share, if at least two simulators do; of several, the one of merit. Runs
-    that were left alone come before treated ones, of which there may be more."""
-    alike: dict[Hashable, list[_T]] = {}
-    for item in items:
-        alike.setdefault(conditions(key(item)), []).append(item)
-    shared = [found for found in alike.values() if len({key(item).simulator for item in found}) > 1]
-
-    def rank(found: list[_T]) -> tuple[bool, int, int]:
-        return not deciding(key(found[0]).settings), len(found), sum(map(merit, found))
-
-    return max(shared, key=rank, default=[])
 
 
 def _went_far_enough(sweeps: list[Sweep]) -> list[Sweep]:
@@ -191,8 +171,8 @@ def _conditions(key: GroupKey) -> Hashable:
     return (key.device, key.scene, key.scene_hash, key.n_env, key.dt, deciding(key.settings))
 
 
-def _timed_alike(key: GroupKey) -> Hashable:
-    return (_conditions(key), key.warmup, key.timed_steps)
+def _timed_alike(sweep: Sweep) -> Hashable:
+    return (_conditions(sweep.key), sweep.key.warmup, sweep.key.timed_steps)
 
 
 def _timed_otherwise(groups: Sequence[GroupResult]) -> dict[str, str]:

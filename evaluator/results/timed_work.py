@@ -5,10 +5,9 @@ Two throughputs can be compared where both were timed over the same steps: at ot
 
 from __future__ import annotations
 
-import json
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 from gpusimbench.evaluator.check.protocol import Unmet
 from gpusimbench.evaluator.missing import Missing
@@ -16,6 +15,8 @@ from gpusimbench.evaluator.runs.groups import GroupKey
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.permutation import ALPHA, p_value, ranges_of
 from gpusimbench.schemas.configuration import deciding
+
+_T = TypeVar("_T")
 
 SHORT_S = 1.0
 """A timed phase below this [s] is marked: a pause of the system or a change of clocks is a large part of it."""
@@ -102,13 +103,34 @@ def most_common(windows: Sequence[Hashable]) -> Hashable:
     return max(dict.fromkeys(windows), key=windows.count)
 
 
+def largest_comparable(
+    items: Sequence[_T],
+    key: Callable[[_T], GroupKey],
+    conditions: Callable[[_T], Hashable],
+    merit: Callable[[_T], int] = lambda _: 0,
+) -> list[_T]:
+    """Those of the conditions that most of them share, if at least two simulators do; of several, those of merit.
+
+    Runs that were left alone come before runs with --initial, --vary or --intervene, of which there may be more.
+    """
+    alike: dict[Hashable, list[_T]] = {}
+    for item in items:
+        alike.setdefault(conditions(item), []).append(item)
+    shared = [found for found in alike.values() if len({key(item).simulator for item in found}) > 1]
+
+    def rank(found: list[_T]) -> tuple[bool, int, int]:
+        return not deciding(key(found[0]).settings), len(found), sum(map(merit, found))
+
+    return max(shared, key=rank, default=[])
+
+
 def differing_settings(works: Iterable[TimedWork]) -> bool:
     """Whether solvers of some rows were set differently."""
     return len({tuple(work.settings.items()) for work in works if work.windows}) > 1
 
 
 def _settings(key: GroupKey) -> dict[str, str]:
-    options = json.loads(key.options)
+    options = key.parsed_options
     return {
         name: next((_text(options[n]) for n in names if options.get(n) is not None), "")
         for name, names in SETTINGS.items()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -174,7 +173,7 @@ def _timed_remarks(rows: Sequence[paper_tables.Capability], scene: str) -> list[
 
 
 def _settings(key: GroupKey) -> str:
-    given = ", ".join(f"{name}={value}" for name, value in json.loads(key.options).items())
+    given = ", ".join(f"{name}={value}" for name, value in key.parsed_options.items())
     level = "" if key.determinism == DEFAULT else f"determinism {key.determinism}"
     settings = ", ".join(TELLING[name].labelled(name, value) for name, value in key.settings)
     return "; ".join(part for part in (key.version or "no version", given, level, settings, key.device) if part)

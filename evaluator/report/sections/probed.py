@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 
 from gpusimbench.evaluator.metrics.levels import MAX_ULP, TOLERANCE_M, Level
@@ -66,7 +65,7 @@ def _price(arms: Arms, prices: Sequence[Family]) -> str:
     """What the level costs, in a sentence; empty where it was not clocked, or is the default."""
     for price in (price for family in prices for price in family.prices):
         own, key = price.result.group.recordings[0].configuration, arms.key
-        same = (own.simulator, own.scene, own.options) == (key.simulator, key.scene, json.loads(key.options))
+        same = (own.simulator, own.scene, own.options) == (key.simulator, key.scene, key.parsed_options)
         if same and price.level == key.determinism and price.result.group.key.device == key.device:
             said = why_missing(price.speed.ratio) or ratio(price.speed)
             return (

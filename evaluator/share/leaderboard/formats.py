@@ -185,7 +185,7 @@ def _row(row: Row) -> dict[str, Any]:
         **picked(row, "place equals place_missing"),
         "label": row.result.label,
         **picked(key, "simulator version determinism"),
-        "options": json.loads(key.options),
+        "options": key.parsed_options,
         "switches": json.loads(key.switches or "{}"),
         **picked(key, "n_env warmup timed_steps"),
         "outcomes": row.result.group.outcomes,
