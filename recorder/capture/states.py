@@ -16,7 +16,7 @@ from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.capture.work_child import HELD, READ
 from gpusimbench.recorder.capture.work_process import WorkProcess, worthwhile
 from gpusimbench.recorder.capture.workers import Workers
-from gpusimbench.recorder.interruption import shielded
+from gpusimbench.recorder.interruption import postponed, shielded
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import encode_fingerprints, little_endian
@@ -118,7 +118,8 @@ class StateWriter:
                 )
                 sink.at_end(self._process.close)
         if self._process is None and size is not None:
-            expect(size)
+            with postponed():  # compiling calls Python from C, where an interruption would be printed and forgotten
+                expect(size)
         self._view = view
         self._first_step = first_step
         self.last_step = first_step - 1

@@ -420,6 +420,38 @@ def test_an_interruption_leaves_a_good_file(tmp_path: Path, seconds: float) -> N
         assert recording.status == "failed"
 
 
+_INTERRUPTED_COMPILING = """
+import signal, sys
+import numba  # not while its calls are looked at: it has many
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.schemas.fields import body_field
+
+def look(frame, event, argument):
+    if event == "call" and frame.f_code.co_name == "_raw_object_cache_notify":
+        sys.setprofile(None)
+        print("compiling")
+        signal.raise_signal(signal.SIGINT)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+field = body_field("cubes", "position", "float32", tuple(map(str, range(20))))
+writer = RecordingWriter(sys.argv[1], simulator="mine", version="1", scene="toss", n_env=500, dt=0.01, steps=100000,
+                         fields=(field,))
+sys.setprofile(look)
+try:
+    with writer:
+        print("recording")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_an_interruption_while_hashes_are_compiled(tmp_path: Path) -> None:
+    """Heed a Ctrl-C that comes in a callback of the compiler, out of which no exception is raised."""
+    compiles = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}  # which has nothing that was compiled before
+    done = run_python(_INTERRUPTED_COMPILING, tmp_path / "x.mcap", env=compiles)
+    assert done.stdout == "compiling\ninterrupted\n", done.stderr
+
+
 def test_arrays_that_are_no_states_of_bodies(tmp_path: Path) -> None:
     """Log observations, rewards and flags under their names, in their own shape, one step or many at a time."""
     fields = (array_field("observation", "float64", (2, 3)), array_field("reward", "float32", unit="1"))
