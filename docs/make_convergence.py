@@ -14,7 +14,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 from page_blocks import redraw
 
@@ -22,8 +21,6 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.report.sections.convergence import NOT_ASYMPTOTIC, said, said_locally, why_none
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
-from gpusimbench.recorder.scenes.registry import make_scene
 
 PAGE = Path(__file__).resolve().parent / "physics" / "convergence.md"
 SECONDS = {"pendulum": 1.0, "free-fall": 0.2, "ball-drop": 0.1}
@@ -42,14 +39,12 @@ class Engine:
     """A simulator with options on a scene.
 
     order  of the method, where its documentation or its source names it; None where neither was found to
-    model  the scene is given as a model file, since the simulator has no robots of its own
     """
 
     scene: str
     simulator: str
     options: tuple[str, ...] = ()
     order: int | None = 1
-    model: bool = False
 
     def folder(self, dt: float) -> str:
         """Of its recording at a step [s]."""
@@ -66,7 +61,7 @@ ENGINES: tuple[Engine, ...] = (
     # Genesis raises the time constant of constraints to two steps, which would make steps of different settings
     Engine("pendulum", "genesis", ("--option", "constraint_timeconst=0.04")),
     *(Engine("pendulum", name, order=None) for name in ("physx", "sapien")),
-    *(Engine("pendulum", "newton", ("--solver", name), model=True) for name in ("mujoco", "featherstone", "xpbd")),
+    *(Engine("pendulum", "newton", ("--solver", name)) for name in ("mujoco", "featherstone", "xpbd")),
     *(Engine("pendulum", "brax", ("--solver", name)) for name in ("generalized", "positional", "spring")),
     *(Engine("free-fall", name) for name in ("mujoco", "warp")),
     Engine("free-fall", "mjx", ("--impl", "jax")),
@@ -78,21 +73,6 @@ ENGINES: tuple[Engine, ...] = (
 )
 
 
-def pendulum_file(folder: Path) -> Path:
-    """The scene pendulum as a model file, with its start as a keyframe, and without its servo, which has no gain."""
-    scene = make_scene("pendulum")
-    if scene.robot is None or any(joint.stiffness or joint.damping for joint in scene.robot.joints()):
-        raise ValueError("the pendulum of the scene swings freely")
-    root = ElementTree.fromstring(emit_mjcf(scene, dt=STEPS[0], option={}, geom={}))
-    for servos in root.findall("actuator"):
-        root.remove(servos)
-    start = " ".join(map(repr, scene.robot.start))
-    ElementTree.SubElement(ElementTree.SubElement(root, "keyframe"), "key", {"name": "start", "qpos": start})
-    path = folder / "pendulum.xml"
-    path.write_text(ElementTree.tostring(root, encoding="unicode"), encoding="utf-8")
-    return path
-
-
 def command(engine: Engine, dt: float, folder: Path) -> list[str]:
     """That records an engine at a step [s]: its states at the beginning and at the time that is compared."""
     steps = round(SECONDS[engine.scene] / dt)
@@ -101,8 +81,6 @@ def command(engine: Engine, dt: float, folder: Path) -> list[str]:
     given += ["--phases", "capture", "--out", str(folder / engine.folder(dt)), "--n-env", f"{ENVS[engine.scene]}"]
     if ENVS[engine.scene] > 1:
         given += ["--initial", f"random:{SPREAD:g}"]
-    if engine.model:
-        return [*given, "--model", str(pendulum_file(folder)), "--keyframe", "start"]
     return [*given, "--scene", engine.scene]
 
 
@@ -142,7 +120,7 @@ def rows(folder: Path) -> Iterator[str]:
             yield f"| {engine.scene} | {label} | | | | | {refused.read_text(encoding='utf-8').strip()} |"
             continue
         for one in evaluate_files(files, sample_time=SECONDS[engine.scene]).convergences if files else ():
-            yield row(one, f"{label[:-1]}, as a model file]" if engine.model else label, engine)
+            yield row(one, label, engine)
 
 
 def table(folder: Path) -> str:

@@ -49,6 +49,8 @@ _RUNS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("sliding-block", "mujoco", ("--option", "solref=0.04 1")),
     *((scene, "warp", ()) for scene in FIRST),
     ("pendulum", "mjx", ("--impl", "jax")),
+    ("pendulum", "newton", ()),
+    *(("pendulum", "newton", ("--solver", name)) for name in ("featherstone", "steel", "xpbd")),
     ("sliding-block", "newton", ("--solver", "xpbd")),
     ("sliding-block", "newton", ()),
     ("sliding-block", "brax", ("--solver", "positional")),
@@ -60,6 +62,8 @@ _RUNS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ),
     *((scene, "warp", ()) for scene in INTEGRATED),
     *((scene, "mjx", ("--impl", "jax")) for scene in INTEGRATED),
+    ("double-pendulum", "newton", ()),
+    ("double-pendulum", "newton", ("--solver", "xpbd")),
     *(
         ("four-bar", "mujoco", tuple(word for option in options for word in ("--option", option)))
         for options in ((), ("solref=0.002 1",), ("integrator=RK4",), ("integrator=RK4", "solref=0.002 1"))

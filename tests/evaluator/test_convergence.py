@@ -21,9 +21,6 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.statistics.convergence import Order, fit_order
-from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.recorder.simulators.mujoco.model import compile_scene
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from tests.conftest import recorded
 from tests.scripts import script
 
@@ -177,16 +174,6 @@ def test_a_step_that_misses_the_time_is_left_out(pendulums: list[Path]) -> None:
     assert isinstance(one.found, Missing)
     assert any("0.04 s: 0.98 s is no whole number of steps" in why for why in one.left_out)
     assert evaluate_files(euler[:3], sample_time=1.0).convergences == ()
-
-
-def test_the_model_file_is_the_pendulum_of_the_scene(tmp_path: Path) -> None:
-    """Give the moments, the masses and the start of the scene, and no servo, to engines that take model files only."""
-    mujoco = pytest.importorskip("mujoco")
-    given = mujoco.MjModel.from_xml_path(str(script("make_convergence").pendulum_file(tmp_path)))
-    scene = compile_scene(make_scene("pendulum"), dt=0.02, options=MjcfOptions())
-    assert given.nu == 0 and given.key("start").qpos == pytest.approx(scene.qpos0)
-    for field in ("body_mass", "body_inertia", "body_ipos", "jnt_axis", "jnt_range", "dof_damping", "dof_armature"):
-        assert np.array_equal(getattr(given, field), getattr(scene.model, field)), field
 
 
 @pytest.mark.slow

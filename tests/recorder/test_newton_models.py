@@ -1,4 +1,5 @@
-"""Model files on Newton: layout, states, controls and energy against MuJoCo's, and what Newton has otherwise."""
+"""Model files, and scenes with robots, on Newton: layout, states, controls and energy against MuJoCo's, and what
+Newton has otherwise."""
 
 from __future__ import annotations
 
@@ -13,11 +14,13 @@ import pytest
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.model import ModelScene, model_scene
+from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import own_options
 from gpusimbench.recorder.simulators.newton.made import as_mujoco_has_it
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS
+from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.imported import PARAMETERS
 from gpusimbench.schemas.model_files import pack
@@ -136,6 +139,57 @@ def test_the_same_motion(walker: tuple[Any, Any, Any, Any]) -> None:
     assert evidence.overflow is not None
     assert not evidence.overflow.any()
     assert evidence.counts["contacts"].max() > 0
+
+
+@pytest.mark.slow
+def test_a_robot_of_a_scene() -> None:
+    """Move the franka as on MuJoCo C, with the same targets and force limits, in the same layout."""
+    scene = make_scene("franka")
+    simulator, description = engines.build("newton", scene, n_env=2)
+    other, _ = engines.build("mujoco", scene, n_env=2)
+    assert scene.actions is not None
+    other.prepare(scene.actions.draw(0, n_env=2, first_step=0, n_step=50))
+    simulator.compile("capture")
+    states, others = simulator.states(50), other.states(50)
+    simulator.close()
+    assert description.fields == other._compiled.fields("float32")
+    for field, a, b, atol in zip(description.fields, states, others, (2e-5, 2e-3), strict=True):
+        np.testing.assert_allclose(a, b, atol=atol, err_msg=field.name)
+    assert (states[0][-1, 0] != states[0][-1, 1]).any()  # environments have targets of their own
+    assert {d.parameter for d in description.deviations if "Newton" in d.reason} == {
+        "option.disableflags", "contact.pairs"
+    }  # fmt: skip
+    assert not any("autoreset" in remark for remark in description.remarks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", [name for name in FOR_MODELS if name != "mujoco"])
+def test_a_pendulum_on_other_solvers(solver: str) -> None:
+    """Swing the pendulum, which has no servo, as on MuJoCo C; xpbd errs more at this step, so it is given less time."""
+    scene = make_scene("pendulum")
+    simulator, _ = engines.build("newton", scene, n_env=1, solver=solver)
+    other, _ = engines.build("mujoco", scene, n_env=1)
+    simulator.compile("capture")
+    steps = 20 if solver == "xpbd" else 100
+    states, others = simulator.states(steps), other.states(steps)
+    simulator.close()
+    swung = np.abs(others[0][-1] - others[0][0]).max()
+    assert swung > 0.01
+    np.testing.assert_allclose(states[0], others[0], atol=0.2 * swung if solver == "xpbd" else 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "solver", "said"),
+    [
+        ("franka", "steel", "with these options it has no actions: use solver=mujoco"),
+        ("pendulum", "kamino", "no fixed-base robots or hinge joints: use solver=mujoco, xpbd, featherstone or steel"),
+        ("four-bar", "mujoco", "it has no closed loops"),
+    ],
+)
+def test_robots_that_a_solver_does_not_take(name: str, solver: str, said: str) -> None:
+    """Refuse before a build what Newton's importer, or a solver, would make otherwise."""
+    adapter = find_simulator("newton").adapter()
+    assert said in adapter.refusal("newton", make_scene(name), adapter.Options(solver=solver))
 
 
 def test_its_controls(walker: tuple[Any, Any, Any, Any]) -> None:

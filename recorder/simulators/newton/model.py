@@ -9,7 +9,7 @@ from typing import Any
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector, solid_inertia
 from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
-from gpusimbench.recorder.simulators.newton.imported import Imported, import_files
+from gpusimbench.recorder.simulators.newton.imported import Imported, import_mjcf
 from gpusimbench.recorder.simulators.newton.layout import BodyLayout, Layout
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 
@@ -22,7 +22,7 @@ class World:
 
     builder   newton.ModelBuilder
     layout    where the fields of a recording are
-    imported  None for registered scenes
+    imported  None for scenes whose bodies are built one by one
     """
 
     builder: Any
@@ -30,17 +30,22 @@ class World:
     imported: Imported | None = None
 
 
+def comes_as_mjcf(scene: Scene) -> bool:
+    """Whether Newton reads the scene by its importer of MJCF: model files, and scenes with a robot."""
+    return isinstance(scene, ModelScene) or scene.robot is not None
+
+
 def one_world(scene: Scene, compiled: MjcfModel, options: NewtonOptions, register: Callable[[Any], None]) -> World:
-    """A scene in Newton's builder; bodies of a registered scene in the order of Scene.moving.
+    """A scene in Newton's builder, where nothing comes as MJCF in the order of Scene.moving.
 
     compiled  the scene as MuJoCo compiles it
     register  adds the attributes of a solver to a builder, before it has any shapes
 
-    Refused as of imported.import_files.
+    Refused as of imported.import_mjcf.
     """
     import newton
 
-    if isinstance(scene, ModelScene):
+    if comes_as_mjcf(scene):
 
         def prepare(builder: Any) -> None:
             register(builder)
@@ -48,7 +53,7 @@ def one_world(scene: Scene, compiled: MjcfModel, options: NewtonOptions, registe
             shapes.gap = detection_distance(options)
             shapes.ke, shapes.kd, shapes.kf = options.ke, options.kd, options.kf
 
-        imported = import_files(scene, compiled, direct=options.solver == "mujoco", prepare=prepare)
+        imported = import_mjcf(scene, compiled, direct=options.solver == "mujoco", prepare=prepare)
         return World(imported.builder, imported.layout, imported)
     world = newton.ModelBuilder(gravity=scene.gravity)
     register(world)

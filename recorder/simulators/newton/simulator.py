@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.abilities import BODIES, Ability
+from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
@@ -43,6 +43,9 @@ _SLOT_BYTES = 256 << 20  # the recorder asks for blocks of at most 128 MiB of st
 # of the solver (warp.DeterministicMode), and whether collision detection sorts its contacts
 _LEVELS = {"default": ("off", False), "run-to-run": ("run-to-run", True), "gpu-to-gpu": ("gpu-to-gpu", True)}
 
+_BY_MJCF = ROBOTS | {Ability.CHAINS, Ability.MODELS}
+"""What comes through Newton's importer of MJCF, which takes a pin between two sites for one at the first of them."""
+
 _HIDDEN = {
     "steel": "warm-start impulses and friction anchors, which SolverSteel keeps to itself",
     "vbd": "duals and penalties, which SolverVBD keeps to itself",
@@ -56,7 +59,7 @@ class Newton(Slotted):
 
     Options = NewtonOptions
     distribution = "newton"
-    abilities = BODIES | {Ability.MODELS}
+    abilities = BODIES | _BY_MJCF
     timing_interval = BLOCK
     draws_actions = True
     blocks_ahead = 2
@@ -85,8 +88,11 @@ class Newton(Slotted):
     @classmethod
     def withheld(cls, options: Any) -> dict[Ability, str]:
         """See Simulator.withheld."""
-        takes = options.solver in FOR_MODELS
-        return {} if takes else {Ability.MODELS: f"solver={', '.join(FOR_MODELS[:-1])} or {FOR_MODELS[-1]}"}
+        if options.solver == "mujoco":
+            return {}
+        if options.solver in FOR_MODELS:
+            return {Ability.ACTIONS: "solver=mujoco"}  # servos of the others have no limit of force
+        return dict.fromkeys(_BY_MJCF, f"solver={', '.join(FOR_MODELS[:-1])} or {FOR_MODELS[-1]}")
 
     def build(self) -> Description:
         """See Simulator.build."""
@@ -98,21 +104,21 @@ class Newton(Slotted):
         import warp as wp
 
         from gpusimbench.recorder.simulators.mujoco.model import compile_scene
-        from gpusimbench.recorder.simulators.newton.model import one_world
+        from gpusimbench.recorder.simulators.newton.model import comes_as_mjcf, one_world
         from gpusimbench.recorder.simulators.newton.ring import Ring, evidence_shapes
         from gpusimbench.recorder.simulators.newton.solvers import in_force, register
         from gpusimbench.recorder.simulators.newton.watch import Watch, choose_sizes
 
         self._mode = wp.DeterministicMode[warp_runtime.MODES[level]]
-        files = isinstance(self.scene, ModelScene)
+        mjcf = comes_as_mjcf(self.scene)
         physics = own_options(self.scene)
-        if not files or options.solver == "mujoco":
+        if not mjcf or options.solver == "mujoco":
             physics = replace(physics, cone=options.cone)
         compiled = compile_scene(self.scene, dt=self.dt, options=physics)
         self._sizes = choose_sizes(self.scene, dt=self.dt, seed=self.seed, options=options, physics=physics)
         with self._refusals():
             self._world = one_world(self.scene, compiled, options, register(options))
-        self._compiled, self._physics = compiled, physics if files else None
+        self._compiled, self._physics = compiled, physics if mjcf else None
         self._worlds = self._make_worlds(self.n_env)
         self._watch = Watch(self._worlds, options, self._sizes)
         self._last_counts = _allocated(evidence_shapes(self._watch, self.n_env, 1))  # for what is asked after `step`
@@ -127,7 +133,7 @@ class Newton(Slotted):
         return Description(
             version=newton.__version__,
             device=warp_runtime.name_of(self._device),
-            options=in_force(self._worlds.solver, options, files=files),
+            options=in_force(self._worlds.solver, options, mjcf=mjcf),
             switches={
                 "precision": "float32",
                 "solver": options.solver,
@@ -141,7 +147,7 @@ class Newton(Slotted):
             deviations=self._deviations(),
             fields=self._world.layout.fields(),
             timing_covers=self._covers(),
-            attachments=compiled.attachments if files else {},
+            attachments=compiled.attachments if mjcf else {},
             buffers=self._watch.buffers,
             counters=self._watch.counters,
             overflow_bits=self._watch.overflow_bits,
@@ -157,7 +163,8 @@ class Newton(Slotted):
             return known
         built, solver = self._worlds.model, self._worlds.solver
         own = deviations_of_import(built, solver, self._world.imported, self._compiled.model, self.options.solver)
-        return (*(() if self.options.solver == "mujoco" else known), *own)
+        of_contacts = self._compiled.deviations if self.options.solver == "mujoco" else known
+        return (*of_contacts, *own)
 
     def _make_worlds(self, n_env: int) -> Any:
         from gpusimbench.recorder.simulators.newton.worlds import ModelControls, Worlds

@@ -46,7 +46,7 @@ def register(options: NewtonOptions) -> Callable[[Any], None]:
 def make_solver(model: Any, options: NewtonOptions, physics: MjcfOptions | None, sizes: Sizes, mode: Any) -> Any:
     """The solver that the options ask for.
 
-    physics  options of MuJoCo's physics that a model file asks for; None of registered scenes
+    physics  options of MuJoCo's physics that the MJCF asks for; None of scenes that do not come as MJCF
     mode     warp.DeterministicMode; the engine raises ValueError where the solver does not have it
     """
     from newton import solvers
@@ -94,23 +94,23 @@ def make_solver(model: Any, options: NewtonOptions, physics: MjcfOptions | None,
     return solvers.SolverKamino(model, config=config)
 
 
-def in_force(solver: Any, options: NewtonOptions, *, files: bool) -> dict[str, Any]:
+def in_force(solver: Any, options: NewtonOptions, *, mjcf: bool) -> dict[str, Any]:
     """Every option as the solver has it; None for those that it does not have.
 
-    files  the scene is a model file, whose geoms have contact parameters of their own
+    mjcf  the scene came as MJCF, whose geoms have contact parameters of their own
     """
     found: dict[str, Any] = {field.name: None for field in fields(options)}
     found |= {"solver": options.solver, "substeps": options.substeps, "device": str(solver.model.device)}
     # as asked for; the buffers, by the engine's names, say what was measured
     found |= {"max_contacts": options.max_contacts or None, "max_rows": options.max_rows or None}
     found["gap"] = detection_distance(options)
-    return found | _of_solver(solver, options, files)
+    return found | _of_solver(solver, options, mjcf)
 
 
-def _of_solver(solver: Any, options: NewtonOptions, files: bool) -> dict[str, Any]:
+def _of_solver(solver: Any, options: NewtonOptions, mjcf: bool) -> dict[str, Any]:
     match options.solver:
         case "mujoco":
-            return _mujoco(solver, options, files)
+            return _mujoco(solver, options, mjcf)
         case "xpbd":
             return {
                 "iterations": solver.iterations,
@@ -148,12 +148,12 @@ def _penalty(options: NewtonOptions) -> dict[str, Any]:
     return {"ke": options.ke, "kd": options.kd, "kf": options.kf}
 
 
-def _mujoco(solver: Any, options: NewtonOptions, files: bool) -> dict[str, Any]:
+def _mujoco(solver: Any, options: NewtonOptions, mjcf: bool) -> dict[str, Any]:
     import mujoco
 
     opt, model = solver.mj_model.opt, solver.mj_model
     of_geoms: dict[str, Any] = {}
-    if not files:  # every geom has the same
+    if not mjcf:  # every geom has the same
         of_geoms = {
             "ke": options.ke,
             "kd": options.kd,

@@ -109,7 +109,7 @@ class Worlds:
     ) -> None:
         """Allocate everything on Warp's present device.
 
-        physics  options of MuJoCo's physics that a model file asks for; None of registered scenes
+        physics  options of MuJoCo's physics that the MJCF asks for; None of scenes that do not come as MJCF
         mode     warp.DeterministicMode of the solver
         ordered  whether collision detection puts its contacts in order
         """
