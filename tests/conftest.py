@@ -119,12 +119,12 @@ def searched(*folders: Path) -> str:
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    """Wait until the condition holds; AssertionError after a minute."""
-    for _ in range(600):
+    """Wait until the condition holds; AssertionError after five minutes."""
+    for _ in range(3000):
         if condition():
             return
         time.sleep(0.1)
-    raise AssertionError("it did not happen within a minute")
+    raise AssertionError("it did not happen within five minutes")
 
 
 @pytest.fixture(scope="session")

@@ -81,7 +81,7 @@ def endless(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def _impatient(environment: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", _IMPATIENT, "--sim", "endless", *_SMALL, *map(str, arguments)],
-        capture_output=True, text=True, timeout=120, env=environment,
+        capture_output=True, text=True, timeout=300, env=environment,
     )  # fmt: skip
 
 
