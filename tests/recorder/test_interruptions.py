@@ -18,7 +18,7 @@ from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import Command, command, distribution, run_python, wait_for
 from tests.recorder.conftest import folder_of
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 _INTERRUPTED_BETWEEN = '''
 """Interrupt a capture right after the digest of its n-th piece of a kind; print how it ended."""
@@ -82,7 +82,6 @@ def test_a_strided_capture_that_ends_early(
     assert len(hashes.steps) == 751
 
 
-@pytest.mark.slow
 def test_an_interruption_at_any_moment_of_the_start(tmp_path: Path) -> None:
     """End with 1 and one line on Ctrl-C at 20 moments of the first second; files that are there are whole."""
     for number in range(20):

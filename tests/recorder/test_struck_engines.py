@@ -17,7 +17,7 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from tests.conftest import command, finished, wait_for
 from tests.synthetic import write_recording
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 _PLUGIN = '''
 """A third party's simulator whose engine takes a while to import, once, and turns what interrupts it into something."""
@@ -45,8 +45,8 @@ class Delicate(Simulator):
             if self.options.mode == "handler":  # as engines do that bring an application of their own
                 for number in (signal.SIGINT, signal.SIGALRM):
                     signal.signal(number, broken)
-            importing.touch()
             try:
+                importing.touch()
                 time.sleep(60)
             except KeyboardInterrupt:
                 if self.options.mode == "import":
