@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import ConsoleMessage, Page, Request
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-_PATIENCE_S = 60.0  # a slow machine is waited for; nothing is measured here
+_PATIENCE_S = 300.0  # a slow machine is waited for; nothing is measured here
 
 _ARGUMENTS = (
     "--no-sandbox",  # containers have no user namespaces; the pages are our own
@@ -124,7 +124,7 @@ class Browser:
         return self.page.evaluate(script)
 
     def wait(self, script: str) -> Any:
-        """The expression's value as soon as it is true; AssertionError after a minute."""
+        """The expression's value as soon as it is true; AssertionError after five minutes."""
         deadline = time.monotonic() + _PATIENCE_S
         while time.monotonic() < deadline:
             if found := self.evaluate(script):

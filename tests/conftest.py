@@ -81,9 +81,9 @@ def call(name: str, *arguments: object, code: int | None = None, **keywords: Any
 
 
 def finished(words: Sequence[object], *, code: int | None = 0, **keywords: Any) -> subprocess.CompletedProcess[str]:
-    """Run a program of these words to its end, within 300 s where nothing else is said; AssertionError where it ends
+    """Run a program of these words to its end, within 600 s where nothing else is said; AssertionError where it ends
     with another exit code than `code`."""
-    given = {"capture_output": True, "text": True, "timeout": 300, **keywords}
+    given = {"capture_output": True, "text": True, "timeout": 600, **keywords}
     done: subprocess.CompletedProcess[str]
     done = subprocess.run(list(map(str, words)), **given)
     assert code in (None, done.returncode), f"{words[0]} ended with {done.returncode}: {done.stdout}{done.stderr}"
@@ -119,12 +119,12 @@ def searched(*folders: Path) -> str:
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    """Wait until the condition holds; AssertionError after a minute."""
-    for _ in range(600):
+    """Wait until the condition holds; AssertionError after five minutes."""
+    for _ in range(3000):
         if condition():
             return
         time.sleep(0.1)
-    raise AssertionError("it did not happen within a minute")
+    raise AssertionError("it did not happen within five minutes")
 
 
 @pytest.fixture(scope="session")

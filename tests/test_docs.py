@@ -58,7 +58,7 @@ def shell(line: str, folder: Path, environment: dict[str, str] | None = None) ->
     if words := plain(line, folder):
         done = call(*words, cwd=folder, env=env)
     else:
-        done = subprocess.run(line, shell=True, cwd=folder, capture_output=True, text=True, timeout=300, env=env)
+        done = subprocess.run(line, shell=True, cwd=folder, capture_output=True, text=True, timeout=900, env=env)
     assert done.returncode == int(expected or 0), f"{line}\n{done.stdout}\n{done.stderr}"
     return done
 

@@ -60,7 +60,7 @@ def test_the_module() -> None:
     """Be what python -m gpusimbench runs."""
     done = finished([sys.executable, "-m", "gpusimbench", "info", str(FILE)])
     assert done.stdout == call("gsb-info", FILE).stdout
-    assert subprocess.run([*command("gsb"), "--version"], capture_output=True, timeout=60).returncode == 0
+    assert subprocess.run([*command("gsb"), "--version"], capture_output=True, timeout=300).returncode == 0
 
 
 def _suggested(text: str) -> list[list[str]]:

@@ -111,7 +111,7 @@ def test_one_version() -> None:
     """Start every command as it is installed, and have each print the same line for its version."""
     lines = set()
     for name in PARSERS:
-        done = subprocess.run([*command(name), "--version"], capture_output=True, text=True, timeout=60)
+        done = subprocess.run([*command(name), "--version"], capture_output=True, text=True, timeout=300)
         lines.add((done.returncode, done.stdout, done.stderr))
     ((code, line, said),) = lines
     assert (code, said) == (0, "")

@@ -17,7 +17,7 @@ from tests.test_replay_maniskill import found_at, written
 
 h5py = pytest.importorskip("h5py")
 
-_SECONDS = 30  # nothing here takes a tenth of that, unless it waits for a writer of a pipe
+_SECONDS = 300  # nothing here takes a hundredth of that, unless it waits for a writer of a pipe
 
 _READ = """
 import sys

@@ -147,7 +147,7 @@ def test_search_works_in_a_page_opened_as_a_file(site: Path, tmp_path: Path) -> 
          "--disable-background-networking", "--disable-component-update", "--no-first-run",
          f"--user-data-dir={tmp_path / 'profile'}", f"--log-net-log={log}", "--host-resolver-rules=MAP * ~NOTFOUND",
          "--dump-dom", f"{(site / 'index.html').as_uri()}?q=jackknife"],
-        capture_output=True, text=True, timeout=120,
+        capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     found = re.search(r"(\d+) matching documents", done.stdout)
     assert found is not None, done.stderr

@@ -95,12 +95,12 @@ class Writing(Generic[Written]):
     def _wait_to_the_end(self) -> BaseException | None:
         # the first error that a handler of signals raised meanwhile; Thread.join takes a thread for ended after one
         struck = None
-        while not self._written.is_set():
+        while True:
             try:
                 self._written.wait()
+                return struck
             except BaseException as error:
                 struck = struck or error
-        return struck
 
     def _work(self) -> None:
         try:

@@ -493,7 +493,7 @@ def test_an_interruption_ends_the_replay(number: signal.Signals, plugin: dict[st
     audit = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
     wait_for(lambda: any(path.stat().st_size > 0 for path in (tmp_path / "here").glob("*.partial")))
     audit.send_signal(number)
-    _, said = audit.communicate(timeout=60)
+    _, said = audit.communicate(timeout=300)
     assert audit.returncode == 1
     assert said.endswith("gsb-audit: interrupted\n")
     (replay,) = (tmp_path / "here").iterdir()

@@ -253,7 +253,7 @@ def test_a_command_finds_an_environment(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(found["files"])
     assert len(found["files"]) <= most(8)
     empty = tmp_path / "empty"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", empty], check=True, timeout=60)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", empty], check=True, timeout=300)
     arguments = [f"--environment=c={empty}" if a == f"--environment=c={sys.executable}" else a for a in arguments]
     for path in (tmp_path / "out" / "c").iterdir():
         path.unlink()

@@ -18,7 +18,7 @@ from gpusimbench.evaluator.inputs.reader import Reader, read_all
 from gpusimbench.evaluator.report.json import dump_json
 from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.schemas.errors import GsbError, UsageError
-from tests.conftest import Command, searched
+from tests.conftest import Command, searched, wait_for
 
 pytestmark = pytest.mark.alone
 
@@ -42,12 +42,13 @@ def two_nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     nodes.shutdown()
 
 
-def node_of(_: int) -> str:
-    """The node that computes this."""
-    import time
-
-    time.sleep(0.3)
-    return str(ray.get_runtime_context().get_node_id())
+def node_of(meeting: Path | None) -> str:
+    """The node that computes this; where a folder is given, once another node computes as well."""
+    node = str(ray.get_runtime_context().get_node_id())
+    if meeting is not None:
+        (meeting / node).touch()
+        wait_for(lambda: len(list(meeting.iterdir())) > 1)
+    return node
 
 
 def fail(_: int) -> int:
@@ -57,15 +58,16 @@ def fail(_: int) -> int:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of processes and sockets that Ray leaves to the garbage collector
-def test_a_node_dies(two_nodes: Any, small_set: list[Path], gsb_eval: Command) -> None:
+def test_a_node_dies(two_nodes: Any, small_set: list[Path], gsb_eval: Command, tmp_path: Path) -> None:
     """Give the document of a local evaluation, from two nodes, and from two of which one is killed in the middle."""
     files = [*small_set, small_set[0].parent / "missing.mcap"]
     expected = dump_json(evaluate(read_all(files, Reader(1.0), HERE), sample_time=1.0))
     done = gsb_eval(*files, "--sample-time", 1, "--json", "-", "--no-cache", "--ray", two_nodes.address)
     assert (done.returncode, done.stdout) == (3, expected), done.stderr
 
+    (meeting := tmp_path / "meeting").mkdir()
     with Cluster(two_nodes.address) as cluster:
-        assert len(set(cluster(node_of, range(6)))) == 2
+        assert len(set(cluster(node_of, [meeting] * 6))) == 2
         killed = []
 
         def killing(function: Callable[[Any], Any], items: Iterable[Any], /) -> Iterator[Any]:
@@ -78,7 +80,7 @@ def test_a_node_dies(two_nodes: Any, small_set: list[Path], gsb_eval: Command) -
         found = evaluate(read_all(files, Reader(1.0), Work(killing)), sample_time=1.0, work=Work(killing))
         assert killed
         assert dump_json(found) == expected
-        assert len(set(cluster(node_of, range(3)))) == 1
+        assert len(set(cluster(node_of, [None] * 3))) == 1
         with pytest.raises(ZeroDivisionError, match="of its own"):
             list(cluster(fail, [1]))
 
@@ -89,7 +91,7 @@ def test_nodes_of_another_version(two_nodes: Any, monkeypatch: pytest.MonkeyPatc
     """Refuse results of other code, by the name of the node."""
     monkeypatch.setattr(cluster_module, "code_version", lambda: "another")
     with Cluster(two_nodes.address) as cluster, pytest.raises(GsbError, match="has another version of gpusimbench"):
-        list(cluster(node_of, [1]))
+        list(cluster(node_of, [None]))
 
 
 def test_nobody_answers(small: Path, gsb_eval: Command) -> None:

@@ -252,7 +252,7 @@ def test_one_run_id_and_two_contents(gsb_eval: Command, tmp_path: Path) -> None:
 def test_a_pipe_is_no_file(gsb_eval: Command, tmp_path: Path) -> None:
     """Refuse a pipe instead of waiting for its writer."""
     os.mkfifo(tmp_path / "pipe.mcap")
-    done = gsb_eval(tmp_path / "pipe.mcap", timeout=20, code=3)
+    done = gsb_eval(tmp_path / "pipe.mcap", timeout=300, code=3)
     assert "is not a file" in done.stderr
 
 

@@ -21,7 +21,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import GsbError
 
-SECONDS_A_STEP = 20
+SECONDS_A_STEP = 120
 """No file of the soak's size may take longer over any one thing that is done with it."""
 
 CODES = (0, 1, 3, 4, 5)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import pytest
 
 from tests.conftest import distribution
@@ -10,9 +13,15 @@ _PLUGIN = '''
 """A third party's simulator that goes wrong as it is told."""
 import os, signal, time
 from dataclasses import dataclass
+from pathlib import Path
 import numpy as np
 from gpusimbench.recorder.simulators.base import Ability, Description, Simulator
 from gpusimbench.schemas.fields import body_field
+
+HERE = Path(__file__).parent
+
+def said(word):
+    (HERE / f"{word}-{os.getpid()}").touch()
 
 @dataclass(frozen=True)
 class Options:
@@ -57,9 +66,13 @@ class Faulty(Simulator):
                     os.kill(os.getpid(), signal.SIGINT)
                 if self.options.mode == "deaf":
                     try:
-                        time.sleep(0.1)  # nearly all of the time: an interruption beside it ends the run
-                    except KeyboardInterrupt:  # an engine that returns ends with the block
+                        said("deaf")
                         time.sleep(600)
+                    except KeyboardInterrupt:  # an engine that returns ends with the block
+                        said("heeded")
+                        time.sleep(600)
+                while self.options.mode == "held" and not (HERE / "let-go").exists():
+                    time.sleep(0.01)
                 if self.options.mode == "slow":
                     time.sleep(0.01)
 
@@ -75,6 +88,12 @@ class Faulty(Simulator):
     def close(self):
         print(f"closed{self.number}")
 '''
+
+
+def folder_of(plugin: dict[str, str]) -> Path:
+    """Where the simulator writes deaf-PID as soon as mode=deaf heeds nothing, and heeded-PID as it is interrupted then;
+    and where a file let-go lets mode=held step on."""
+    return Path(plugin["PYTHONPATH"].partition(os.pathsep)[0])
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import textwrap
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -54,22 +53,21 @@ def test_the_machine_has_some_memory() -> None:
     assert 0 < memory_bytes() <= psutil.virtual_memory().total
 
 
-def _guarded(code: str, written: tuple[Path, ...] = ()) -> tuple[Guard, float]:
-    begun = time.monotonic()
+def _guarded(code: str, written: tuple[Path, ...] = ()) -> Guard:
     child = subprocess.Popen([sys.executable, "-c", textwrap.dedent(code)], start_new_session=True)
     try:
         with Guard(child, Cage(0, 0), written) as guard:
-            child.wait(60)
+            child.wait(300)
     finally:
         child.kill()
-    return guard, time.monotonic() - begun
+    return guard
 
 
 _TAKES = """
 import subprocess, sys, time
-work = "import time; x = bytearray(300 << 20); x[::4096] = b'x' * len(x[::4096]); time.sleep(30)"
+work = "import time; x = bytearray(300 << 20); x[::4096] = b'x' * len(x[::4096]); time.sleep(300)"
 {how}
-time.sleep(30)
+time.sleep(300)
 """
 
 
@@ -86,14 +84,14 @@ def test_memory_of_the_whole_tree_counts(monkeypatch: pytest.MonkeyPatch, how: s
     """End a process and what it started once all together are over the bound."""
     monkeypatch.setattr(cage, "memory_bytes", lambda: 256 << 20)
     before = set(psutil.pids())
-    guard, _ = _guarded(_TAKES.format(how=how))
+    guard = _guarded(_TAKES.format(how=how))
     assert re.fullmatch(
         r"memory: it took 0\.\d\d GiB, and may take 0\.20 GiB, 80% of this machine's memory", guard.broken
     )
     assert guard.peak > 200 << 20
     # a process that was killed is there until the system has its memory back
     killed = [psutil.Process(p) for p in set(psutil.pids()) - before if "bytearray(300" in _command(p)]
-    assert not psutil.wait_procs(killed, timeout=5)[1]
+    assert not psutil.wait_procs(killed, timeout=300)[1]
 
 
 def _command(number: int) -> str:
@@ -107,11 +105,11 @@ def _command(number: int) -> str:
 def test_threads_count(monkeypatch: pytest.MonkeyPatch) -> None:
     """End a process with too many threads."""
     monkeypatch.setattr(cage, "most_threads", lambda: 20)
-    guard, _ = _guarded("""
+    guard = _guarded("""
         import threading, time
         for _ in range(30):
-            threading.Thread(target=time.sleep, args=(30,), daemon=True).start()
-        time.sleep(30)
+            threading.Thread(target=time.sleep, args=(300,), daemon=True).start()
+        time.sleep(300)
     """)
     assert re.fullmatch(r"threads: it had (2[1-9]|3[01]), and may have 20 on this machine", guard.broken)
 
@@ -120,12 +118,12 @@ def test_what_is_written_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     """End a process whose recording and whose folder hold too much together."""
     monkeypatch.setattr(cage, "_DISK", 1 << 20)
     (tmp_path / "scratch" / "deep").mkdir(parents=True)
-    guard, _ = _guarded(
+    guard = _guarded(
         f"""
         import time
         for name in ("x.mcap.partial", "scratch/deep/cache"):
             open({str(tmp_path)!r} + "/" + name, "wb").write(bytes(600_000))
-        time.sleep(30)
+        time.sleep(300)
     """,
         (tmp_path / "x.mcap.partial", tmp_path / "scratch"),
     )
@@ -134,7 +132,7 @@ def test_what_is_written_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
 
 def test_a_process_that_keeps_to_its_bounds_is_left_alone() -> None:
     """Do nothing to others."""
-    guard, _ = _guarded("import time; time.sleep(0.5)")
+    guard = _guarded("import time; time.sleep(0.5)")
     assert guard.broken == ""
     assert guard.peak > 1 << 20
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
-from types import SimpleNamespace
+from types import FrameType, SimpleNamespace
 
 import numpy as np
 import psutil
@@ -99,16 +100,20 @@ def test_other_threads_help_where_the_writer_is_behind() -> None:
 
 def test_a_handler_that_raises_while_blocks_are_written() -> None:
     """Wait for the thread that writes, whatever the handler of a signal raises meanwhile: its file has one writer."""
-    begin, written = threading.Event(), []
+    written, taken = [], []
+
+    def taken_by_who_waits(number: int) -> bool:
+        main_thread = sys._current_frames()[threading.main_thread().ident or 0]
+        if len(taken) <= number and main_thread.f_code is threading.Condition.wait.__code__:
+            os.kill(os.getpid(), signal.SIGALRM)  # again where it came just before the thread slept: that wakes nobody
+        return len(taken) > number
 
     def write(block: Block) -> None:
-        begin.wait()
-        time.sleep(0.05)
-        os.kill(os.getpid(), signal.SIGALRM)
-        time.sleep(0.1)
+        wait_for(lambda: taken_by_who_waits(block.first_step))
         written.append(block.first_step)
 
     def late(*_: object) -> None:
+        taken.append(1)
         raise TimeoutError("late")
 
     writing, blocks = Writing(write), [Released(), Released()]
@@ -116,13 +121,38 @@ def test_a_handler_that_raises_while_blocks_are_written() -> None:
         writing.put(Block(number, block, None))
     before = signal.signal(signal.SIGALRM, late)
     try:
-        begin.set()
         with pytest.raises(TimeoutError, match="late"):
             writing.finish()
     finally:
         signal.signal(signal.SIGALRM, before)
     assert written == [0, 1]
     assert [block.count for block in blocks] == [1, 1]
+
+
+def test_a_handler_that_raises_before_the_writer_is_waited_for() -> None:
+    """Wait for the thread that writes also where the handler raises in the first call of the wait."""
+    begin, written = threading.Event(), []
+
+    def write(block: Block) -> None:
+        begin.wait()
+        time.sleep(0.05)
+        written.append(block.first_step)
+
+    def strike(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and frame.f_back is not None and frame.f_back.f_code is Writing._wait_to_the_end.__code__:
+            sys.setprofile(None)
+            begin.set()
+            raise TimeoutError("late")
+
+    writing = Writing(write)
+    writing.put(Block(0, Released(), None))
+    sys.setprofile(strike)
+    try:
+        with pytest.raises(TimeoutError, match="late"):
+            writing.finish()
+    finally:
+        sys.setprofile(None)
+    assert written == [0]
 
 
 @pytest.mark.parametrize("n_env", [4, 700])  # written by one thread, and by several

@@ -407,7 +407,7 @@ def conformance(*arguments: str, **environment: str) -> subprocess.CompletedProc
     """Run the command."""
     return subprocess.run(
         [sys.executable, "-m", "gpusimbench.recorder.conformance", *arguments],
-        capture_output=True, text=True, timeout=120, env={**os.environ, **environment},
+        capture_output=True, text=True, timeout=300, env={**os.environ, **environment},
     )  # fmt: skip
 
 
@@ -500,7 +500,7 @@ def test_the_guides_adapter_is_checked_as_shown(tmp_path: Path) -> None:
     (tmp_path / "test_ballistic.py").write_text(tests)
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-rfs", "--rootdir", str(tmp_path), str(tmp_path)],
-        cwd=tmp_path, capture_output=True, text=True, timeout=120,
+        cwd=tmp_path, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     failed = re.findall(r"^FAILED test_ballistic\.py::test_conforms\[(\w+)\]", done.stdout, re.MULTILINE)
     assert failed == re.findall(r"^FAILED  (\w+)", shown, re.MULTILINE), done.stdout

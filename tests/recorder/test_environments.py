@@ -294,7 +294,7 @@ def test_conformance_asks_once(borrowing: Path, tmp_path: Path) -> None:
     wrapper.write_text(f'#!/bin/sh\nexec {borrowing}/bin/python "$@"\n')
     wrapper.chmod(0o755)
     command = [sys.executable, "-m", "gpusimbench.recorder.conformance", "--sim", "mujoco", "--option", "no=1"]
-    done = finished([*command, "--python", str(wrapper)], code=2, timeout=100)
+    done = finished([*command, "--python", str(wrapper)], code=2, timeout=300)
     assert "has no option 'no'" in done.stderr
 
 

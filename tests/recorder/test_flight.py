@@ -23,7 +23,7 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.treatment import MOST_METRES, Keep
-from tests.conftest import call
+from tests.conftest import call, run_python
 from tests.forging import forge
 
 _RUN = ("--sim", "mujoco", "--runs", "1", "--phases", "capture")
@@ -207,15 +207,32 @@ def test_a_forged_list(poisoned: tuple[Path, Path], tmp_path: Path, change: Call
         assert "Traceback" not in call(command, file).stderr
 
 
-@pytest.mark.slow
+_EXPIRES = '''
+"""Let the time of a run end behind its 100th step."""
+import signal, sys
+from pathlib import Path
+from gpusimbench.recorder.run.run import Run
+from gpusimbench.schemas.configuration import RunConfiguration
+
+def expire(phase, done, of):
+    if phase == "capture" and done > 100:
+        signal.raise_signal(signal.SIGALRM)
+
+configuration = RunConfiguration("mujoco", "inclined-collision", 2, 0.01, 1_000_000, phases=("capture",),
+                                 timeout=1e6, keep="failing", intervention="poison@30")
+Run(configuration, Path(sys.argv[1]), run_id="r", argv=("x",), created="2026-01-01T00:00:00Z", progress=expire,
+    log=lambda: b"").record()
+'''
+
+
 def test_a_run_that_ends_early(tmp_path: Path) -> None:
     """Keep what failed until a run took too long."""
-    long = (*_RUN, "--n-env", "2", "--steps", "1000000", "--timeout", "2")
-    kept = open_recording(_record(tmp_path, *long, "--keep", "failing", "--intervene", "poison@30", exit_code=1))
+    run_python(_EXPIRES, tmp_path / "x.mcap")
+    kept = open_recording(tmp_path / "x.mcap")
     assert (kept.status, kept.cause) == ("failed", "timeout")
     failing = _failing(kept)
     assert [(f.env, f.step) for f in failing.failures] == [(1, 31)]
-    assert failing.last_step > 31
+    assert failing.last_step > 100
     assert len(kept.last_states(1).steps) == 31 + AFTER + 1
     assert call("gsb-check", kept.path).stdout.startswith("PASSED")
 

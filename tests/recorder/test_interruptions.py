@@ -16,8 +16,9 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import Command, command, distribution, run_python, wait_for
+from tests.recorder.conftest import folder_of
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 _INTERRUPTED_BETWEEN = '''
 """Interrupt a capture right after the digest of its n-th piece of a kind; print how it ended."""
@@ -81,7 +82,6 @@ def test_a_strided_capture_that_ends_early(
     assert len(hashes.steps) == 751
 
 
-@pytest.mark.slow
 def test_an_interruption_at_any_moment_of_the_start(tmp_path: Path) -> None:
     """End with 1 and one line on Ctrl-C at 20 moments of the first second; files that are there are whole."""
     for number in range(20):
@@ -95,9 +95,9 @@ def test_an_interruption_at_any_moment_of_the_start(tmp_path: Path) -> None:
         process.stdout.readline()
         time.sleep(0.04 * number)
         os.killpg(process.pid, signal.SIGINT)
-        _, err = process.communicate(timeout=60)
-        if "Exception ignored in: <function _get_module_lock" in err:
-            continue  # Python drops what is raised while it forgets the lock of an import
+        _, err = process.communicate(timeout=300)
+        if "Exception ignored" in err:
+            continue  # Python drops what is raised in a destructor, or while it forgets the lock of an import
         assert process.returncode == 1, err
         assert "Traceback" not in err
         assert "interrupted" in err
@@ -129,7 +129,7 @@ def test_an_interruption_keeps_results(plugin: dict[str, str], tmp_path: Path) -
     )  # fmt: skip
     wait_for(lambda: len(list(tmp_path.glob("*.mcap"))) >= 2)
     process.terminate()
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=300)
     assert process.returncode == 1
     runs = json.loads(out)["runs"]
     assert f"interrupted: {len(runs)} of 100 runs were started" in err
@@ -143,12 +143,11 @@ def test_a_second_interruption_kills_the_run(plugin: dict[str, str], tmp_path: P
          "capture", "--option", "mode=deaf", "--out", str(tmp_path)],
         env=plugin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    wait_for(lambda: any(b"gsb.v1.StateBlock" in p.read_bytes() for p in tmp_path.glob("*.partial")))
-    process.send_signal(signal.SIGINT)
-    time.sleep(0.5)
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
+    for word in ("deaf", "heeded"):
+        wait_for(lambda word=word: any(folder_of(plugin).glob(f"{word}-*")))  # type: ignore[misc]
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=300)
     assert process.returncode == 3
     assert "was killed by SIGKILL" in err
     assert out.strip().endswith(".partial")
@@ -165,7 +164,7 @@ def test_an_import_that_is_interrupted_is_no_broken_one(tmp_path: Path) -> None:
     distribution(tmp_path, "hasty", "[gsb.simulators]\nhasty = hasty:Hasty\n")
     done = subprocess.run(
         [*command("gsb-record"), "--sim", "hasty", "--out", str(tmp_path / "out")],
-        env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, timeout=60,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == "gsb-record: interrupted\n"

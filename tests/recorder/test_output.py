@@ -38,7 +38,7 @@ def _on_a_terminal(arguments: list[str], stdout: Path | None = None) -> tuple[in
                 break
             screen += data
     os.close(ours)
-    return process.wait(timeout=60), re.sub(rb"\x1b\[[0-9;?]*[a-zA-Z]", b"", screen).decode().replace("\r", "")
+    return process.wait(timeout=300), re.sub(rb"\x1b\[[0-9;?]*[a-zA-Z]", b"", screen).decode().replace("\r", "")
 
 
 def _record(out: Path, runs: int = 2) -> list[str]:
@@ -71,7 +71,7 @@ def test_an_output_that_takes_nothing(tmp_path: Path, arguments: tuple[str, ...]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
             [*command("gsb-record"), *arguments, "--out", str(tmp_path)], stdout=full, stderr=subprocess.PIPE,
-            text=True, timeout=120, env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+            text=True, timeout=300, env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
         )  # fmt: skip
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == "gsb-record: cannot write to standard output: No space left on device"
@@ -87,7 +87,7 @@ def test_a_path_in_another_encoding(gsb_record: Command, tmp_path: Path) -> None
     out = os.fsencode(tmp_path) + b"/\xc3\xbc \xff"
     arguments = [os.fsencode(word) for word in (*command("gsb-record"), "--sim", "mujoco", "--n-env", "1", *SMALL)]
     done = subprocess.run(
-        [*arguments, b"--runs", b"1", b"--out", out], capture_output=True, timeout=120,
+        [*arguments, b"--runs", b"1", b"--out", out], capture_output=True, timeout=300,
         env={**os.environ, "PYTHONIOENCODING": "ascii"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -115,7 +115,7 @@ def test_two_recorders_in_one_folder(tmp_path: Path) -> None:
     ]
     printed: list[str] = []
     for process in processes:
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=300)
         assert process.returncode == 0, err
         printed += out.split()
     assert sorted(printed) == sorted(map(str, tmp_path.iterdir()))

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from io import FileIO
 from pathlib import Path
 
@@ -20,7 +19,8 @@ from gpusimbench.recorder.process import scratch
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import ENGINE_LOG
-from tests.conftest import command
+from tests.conftest import command, wait_for
+from tests.recorder.conftest import folder_of
 
 
 @pytest.fixture(autouse=True)
@@ -97,16 +97,19 @@ def test_a_later_run_removes_what_killed_ones_left(tmp_path: Path, temporary: Pa
     record = [*command("gsb-record"), *arguments, "--out", str(tmp_path / "out")]
     recorder = subprocess.Popen(record, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     children = Path(f"/proc/{recorder.pid}/task/{recorder.pid}/children")
-    while not (child := children.read_text().split()):
-        time.sleep(0.01)
+    wait_for(lambda: children.read_text() != "")
+    (child,) = children.read_text().split()
     recorder.kill()
-    os.kill(int(child[0]), signal.SIGKILL)
+    os.kill(int(child), signal.SIGKILL)
     recorder.communicate()
     (left,) = temporary.glob("gsb-run-*")
-    deadline = time.monotonic() + 60
-    while left.exists() and time.monotonic() < deadline:  # the killed process may hold its lock for a moment
+
+    def removed() -> bool:
         with scratch.scratch_folder() as (folder, _):
             assert folder.is_dir()
+        return not left.exists()
+
+    wait_for(removed)  # the killed process may hold its lock for a moment
     assert list(temporary.glob("gsb-run-*")) == []
 
 
@@ -118,14 +121,17 @@ def test_a_folder_that_cannot_be_made(temporary: Path, monkeypatch: pytest.Monke
         pass
 
 
-def test_a_folder_that_is_removed_during_a_run(tmp_path: Path, temporary: Path) -> None:
+def test_a_folder_that_is_removed_during_a_run(plugin: dict[str, str], tmp_path: Path, temporary: Path) -> None:
     """End the recording as ever, and say in its log that the log is gone: systems remove old temporary files."""
-    run = [*command("gsb-record"), "--sim", "mujoco", "--phases", "capture", "--n-env", "4", "--steps", "2000"]
-    recorder = subprocess.Popen([*run, "--runs", "1", "--out", str(tmp_path)], stdout=subprocess.PIPE, text=True)
-    while not any(path.stat().st_size for path in tmp_path.glob("*.partial")):
-        time.sleep(0.01)
+    run = [*command("gsb-record"), "--sim", "faulty", "--option", "mode=held", "--phases", "capture", "--n-env", "4"]
+    recorder = subprocess.Popen(
+        [*run, "--steps", "20", "--runs", "1", "--out", str(tmp_path)], stdout=subprocess.PIPE, text=True,
+        env={**plugin, "TMPDIR": str(temporary)},
+    )  # fmt: skip
+    wait_for(lambda: any(path.stat().st_size for path in tmp_path.glob("*.partial")))
     (folder,) = temporary.glob("gsb-run-*")
     shutil.rmtree(folder)
+    (folder_of(plugin) / "let-go").touch()
     path = recorder.communicate()[0].strip()
     assert open_recording(path).status == "complete"
     assert Container(path).attachment(ENGINE_LOG) == b"--- what was printed cannot be read: No such file or directory\n"

@@ -443,7 +443,7 @@ state = env.reset(keys())
 for number, action in enumerate(drawn(20)):
     state = env.step(state, action)
     if number == 10 and not os.fork():
-        signal.alarm(20)
+        signal.alarm(300)
         env.close()
         os._exit(0)
 ended = os.wait()[1]

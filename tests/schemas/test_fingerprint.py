@@ -211,5 +211,5 @@ assert os.waitpid(child, 0)[1] == 0
 
 def test_fork_while_numba_is_loaded() -> None:
     """Let a copy of the process import numba: it would wait for the thread that was loading numba, and lacks it."""
-    done = subprocess.run([sys.executable, "-c", _FORK], capture_output=True, text=True, timeout=30)
+    done = subprocess.run([sys.executable, "-c", _FORK], capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")

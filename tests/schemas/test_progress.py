@@ -160,7 +160,7 @@ def test_a_command_that_takes_long() -> None:
                 drawn.set()
         progress.Ticker.tick = ticked
         def slow(*given, **named):
-            drawn.clear(); assert drawn.wait(60); drawn.clear(); assert drawn.wait(60)
+            drawn.clear(); assert drawn.wait(300); drawn.clear(); assert drawn.wait(300)
             return examine(*given, **named)
         integrity.examine = slow
         from gpusimbench.evaluator.cli.check import main
