@@ -11,6 +11,7 @@ from gpusimbench.evaluator.episodes.side import Choice
 from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
+from gpusimbench.evaluator.render.numbers import bounds
 from gpusimbench.schemas.text import few, plural
 
 _QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "detectable")
@@ -222,7 +223,7 @@ def interval(
     """An interval of a quantity, or of a `difference` of it; a dash where there is none."""
     if isinstance(ends, Missing):
         return NONE
-    return f"[{', '.join(shown(end, of.name) for end in ends)}]"
+    return bounds(ends, lambda end: shown(end, of.name))
 
 
 def across_document(found: Across) -> Document:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Section, Text, key_of, table
-from gpusimbench.evaluator.render.numbers import NONE, distance
+from gpusimbench.evaluator.render.numbers import NONE, bounds, distance
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.sweeps import Accumulation
 from gpusimbench.evaluator.statistics.jackknife import Interval
@@ -74,4 +74,4 @@ def _value(found: Interval | None) -> str:
         return NONE
     if found.low is None or found.high is None:
         return distance(found.estimate)
-    return f"{distance(found.estimate)} [{distance(found.low)}, {distance(found.high)}]"
+    return f"{distance(found.estimate)} {bounds((found.low, found.high), distance)}"
