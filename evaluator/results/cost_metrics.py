@@ -72,8 +72,8 @@ def shown_slower(slower: Estimate, faster: Estimate) -> bool:
     """
     of_slower, of_faster = (fps.of(Throughput).per_run or () for fps in (slower, faster))
     found = ratio_of_means(of_slower, of_faster)
-    if found.high is not None:
-        return found.high < 1
+    if found.ci95:
+        return found.ci95[1] < 1
     # of many runs, none differs from another of its side
     many = min(len(of_slower), len(of_faster)) >= MIN_RUNS_A_SIDE
     return found.estimate < 1 if many else found.estimate <= _SLOWER

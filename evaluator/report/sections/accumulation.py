@@ -72,6 +72,6 @@ def _cells(found: Variability) -> tuple[str, str]:
 def _value(found: Interval | None) -> str:
     if found is None:
         return NONE
-    if found.low is None or found.high is None:
+    if not found.ci95:
         return distance(found.estimate)
-    return f"{distance(found.estimate)} {bounds((found.low, found.high), distance)}"
+    return f"{distance(found.estimate)} {bounds(found.ci95, distance)}"
