@@ -100,7 +100,7 @@ def record(of: Outcome) -> dict[str, object]:
 
 
 def _policy(of: Outcome, title: str) -> Iterator[Block]:
-    lost = f"; {of.left_out} finished episodes are left out" if of.left_out else ""
+    lost = f"; {of.n_left_out} finished episodes are left out" if of.n_left_out else ""
     yield facts(
         (title, Cell(", ".join(of.files), code=True)),
         ("task", of.scene),

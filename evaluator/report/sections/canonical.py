@@ -53,7 +53,7 @@ def _cells(law: Law) -> tuple[Cell, ...]:
     else:
         difference = Cell(f"{law.difference:.3g} {interval}".rstrip(), law.difference)
         value, predicted = Cell(f"{law.measured:.5g}", law.measured), Cell(f"{law.predicted:.5g}", law.predicted)
-    envs = Cell(f"{law.count} of {law.of_envs}", law.count, notes=(law.left_out,) if law.left_out else ())
+    envs = Cell(f"{law.count} of {law.of_envs}", law.count, notes=law.left_out)
     return (
         Cell(law.label), Cell(law.title + unit), envs,
         value, predicted, difference, Cell(f"{law.tolerance:.3g}", law.tolerance, notes=(law.tolerance_formula,)),
