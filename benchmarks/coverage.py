@@ -121,7 +121,8 @@ def interval_rows(replications: int, rng: Generator) -> list[tuple[str, ...]]:
                     none += 1  # the evaluator gives no interval then
                     continue
                 found = jackknife_pair_mean(matrix)
-                ends = ((found.low, found.high), of_pairs(matrix), of_bootstrap(matrix, rng))
+                assert found.ci95
+                ends = (found.ci95, of_pairs(matrix), of_bootstrap(matrix, rng))
                 hits += [low <= law.mean <= high for low, high in ends]
             shares = hits / max(replications - none, 1)
             rows.append((law.name, str(n_run), *map(percent, shares), percent(none / replications)))

@@ -73,7 +73,7 @@ def changed() -> str:
     ]
     for (simulator, scene, title, old, new), rows in sorted(became.items()):
         counted = f"{len(rows)} of {groups[simulator, scene, title]}"
-        most, tolerance = (number(max(getattr(row, name) for row in rows)) for name in ("most", "tolerance"))
+        most, tolerance = (number(max(getattr(row.found, name) for row in rows)) for name in ("most", "tolerance"))
         lines.append(f"| {simulator} | {scene} | {title} | {old} | {new} | {counted} | {most} | {tolerance} |")
     return "\n".join(lines)
 

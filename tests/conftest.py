@@ -11,9 +11,9 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 from gpusimbench.recorder.capture import work_process
+from gpusimbench.recorder.process.scratch import scratch_folder
 from tests.browser import Browser
 from tests.in_process import in_process
 
@@ -45,8 +46,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # What all processes of these tests share, workers of pytest-xdist too, and nothing that another run of them left.
 if "GSB_TESTS_SHARE" not in os.environ:
-    os.environ["GSB_TESTS_SHARE"] = tempfile.mkdtemp(prefix="gsb-tests-")
-    atexit.register(shutil.rmtree, os.environ["GSB_TESTS_SHARE"], ignore_errors=True)
+    _left = ExitStack()
+    os.environ["GSB_TESTS_SHARE"] = str(_left.enter_context(scratch_folder())[0])
+    atexit.register(_left.close)
 SHARE = Path(os.environ["GSB_TESTS_SHARE"])
 os.environ["GSB_CACHE"] = str(SHARE / "results")
 os.environ["GSB_PROGRESS"] = "off"  # what is printed does not depend on how fast this machine is

@@ -25,7 +25,7 @@ NAMES_OF = {
         "attachments", "chunks", "clocks", "counters", "hardware", "hashes", "integrity", "memory", "phases", "program",
         "unchecked",
     },
-    "record": {"across_releases", "determinism", "groups", "missing_for", "state", "versions"},
+    "record": {"across_releases", "determinism", "groups", "refused", "state", "versions"},
     "run": {"peaks_bytes"},
     "verify": {"written_by"},
 }  # fmt: skip

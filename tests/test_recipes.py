@@ -119,7 +119,7 @@ class Twin(MujocoC):
         if s["name"] == "twin"
     )
     assert "franka" not in twin["scenes"]
-    assert "fixed-base" in str(twin["missing_for"]["franka"])
+    assert "fixed-base" in str(twin["refused"]["franka"])
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from gpusimbench.evaluator.check.protocol import Protocol
 from gpusimbench.evaluator.compare.counted import compare_mechanics, compare_validity
 from gpusimbench.evaluator.compare.episodes import compare_episodes
-from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, Question, Settings
+from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, Question, Settings, exit_code_of
 from gpusimbench.evaluator.compare.matching import Pair, check_across, match, pooled, seed_by_seed, seeds_said
 from gpusimbench.evaluator.compare.numbers import Schedule, compare_numbers, compared_by, schedule
 from gpusimbench.evaluator.compare.outcome import (
@@ -162,12 +162,9 @@ class Result:
 
     @property
     def exit_code(self) -> ExitCode:
-        """4 before 3, since what whole files show stands whatever others are; 3 before 5, 5 before 0."""
-        if self.failing:
-            return ExitCode.GATE_FAILED
-        if self.unreadable or self.lost:
-            return ExitCode.DATA_LOST
-        return ExitCode.OK if self.comparable and not self.open else ExitCode.NOTHING_COMPARABLE
+        """Of gsb-compare."""
+        lost = bool(self.unreadable or self.lost)
+        return exit_code_of(failing=bool(self.failing), lost=lost, decided=self.comparable and not self.open)
 
 
 def counts(axis: Axis, settings: Settings) -> bool:

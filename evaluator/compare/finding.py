@@ -9,6 +9,7 @@ from typing import Protocol
 
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.evaluator.statistics.families import fisher, least_fisher
+from gpusimbench.schemas.errors import ExitCode
 
 DEFAULT_GATES = frozenset({Axis.THROUGHPUT, Axis.MEMORY, Axis.PHYSICS, Axis.VALIDITY, Axis.DETERMINISM, Axis.EPISODES})
 
@@ -204,3 +205,17 @@ class Counted:
         even = self.base[0] * self.head[1] == self.head[0] * self.base[1]
         left = () if able or even else (found.change,)
         return found, replace(found, change=Change.UNCLEAR, left_open=left)
+
+
+def exit_code_of(*, failing: bool, lost: bool, decided: bool) -> ExitCode:
+    """The exit code of a comparison.
+
+    failing  some finding fails a gate: that comes first, since what whole files show stands whatever others are
+    lost     a recording could not be read, or lost data
+    decided  something was compared, and no axis with a gate is left open
+    """
+    if failing:
+        return ExitCode.GATE_FAILED
+    if lost:
+        return ExitCode.DATA_LOST
+    return ExitCode.OK if decided else ExitCode.NOTHING_COMPARABLE

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from gpusimbench.evaluator.compare.compare import Compared, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
 from gpusimbench.evaluator.episodes.document import difference, number
-from gpusimbench.evaluator.render.numbers import NONE, figure, scaled
+from gpusimbench.evaluator.render.numbers import NONE, bounds, figure, scaled
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.schemas.text import plural
 
@@ -19,9 +20,9 @@ def cells(finding: Finding, result: Result) -> tuple[str, ...]:
     base, head = (
         _amount(value, said, finding) for value, said in zip((finding.base, finding.head), finding.said, strict=True)
     )
-    interval = f"[{_times(finding.ci95[0])}, {_times(finding.ci95[1])}]" if finding.ci95 else NONE
+    interval = bounds(finding.ci95, _times) if finding.ci95 else NONE
     if finding.difference_ci95:
-        interval = f"by [{', '.join(difference(end, finding.name, sign=True) for end in finding.difference_ci95)}]"
+        interval = f"by {bounds(finding.difference_ci95, partial(difference, name=finding.name, sign=True))}"
     p = NONE if finding.p_adjusted is None else f"{finding.p_adjusted:.2g}"
     ratio = NONE if finding.ratio is None else _times(finding.ratio)
     return title(finding), base, head, ratio, interval, p, verdict(finding, result)

@@ -11,6 +11,7 @@ from gpusimbench.evaluator.episodes.side import Choice
 from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
+from gpusimbench.evaluator.render.numbers import bounds
 from gpusimbench.schemas.text import few, plural
 
 _QUANTITIES = ("", "mean", "95 %", "IQM", "95 %", "first to finish", "detectable")
@@ -99,7 +100,7 @@ def record(of: Outcome) -> dict[str, object]:
 
 
 def _policy(of: Outcome, title: str) -> Iterator[Block]:
-    lost = f"; {of.left_out} finished episodes are left out" if of.left_out else ""
+    lost = f"; {of.n_left_out} finished episodes are left out" if of.n_left_out else ""
     yield facts(
         (title, Cell(", ".join(of.files), code=True)),
         ("task", of.scene),
@@ -222,7 +223,7 @@ def interval(
     """An interval of a quantity, or of a `difference` of it; a dash where there is none."""
     if isinstance(ends, Missing):
         return NONE
-    return f"[{', '.join(shown(end, of.name) for end in ends)}]"
+    return bounds(ends, lambda end: shown(end, of.name))
 
 
 def across_document(found: Across) -> Document:

@@ -95,7 +95,7 @@ class Outcome:
     success        name of the flag; None where none was named
     success_at     where it counts
     episodes       n_env * per_env
-    left_out       episodes that finished and do not count
+    n_left_out     episodes that finished and do not count
     terminated     of those that count; the others were truncated
     mean_length    of those that count [step]
     distinct_starts  different first observations among those of environments without repeats
@@ -113,7 +113,7 @@ class Outcome:
     success: str | None
     success_at: At
     episodes: int
-    left_out: int
+    n_left_out: int
     terminated: int
     mean_length: float
     distinct_starts: int
@@ -141,7 +141,7 @@ def outcome(episodes: Episodes, chosen: Choice, success: str | None, at: At) -> 
         success=success,
         success_at=at,
         episodes=episodes.returns.size,
-        left_out=int(sum(table.ended.sum() for table in side.tables)) - episodes.returns.size,
+        n_left_out=int(sum(table.ended.sum() for table in side.tables)) - episodes.returns.size,
         terminated=int(episodes.terminated.sum()),
         mean_length=float(episodes.lengths.mean()),
         distinct_starts=len(np.unique(episodes.cluster_starts)),

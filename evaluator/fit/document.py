@@ -18,6 +18,7 @@ from gpusimbench.evaluator.metrics.tosses import TossErrors
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Block, Code, Document, Text, facts, table
+from gpusimbench.evaluator.render.numbers import bounds
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses, errors_of
 from gpusimbench.evaluator.statistics.cases import Paired, mean_interval, paired
 from gpusimbench.schemas.errors import GsbError
@@ -180,4 +181,4 @@ def _row(one: Compared) -> list[str]:
 
 
 def _span(value: float, ci95: tuple[float, float] | None) -> str:
-    return f"{value:.4g}" + (f" [{ci95[0]:.4g}, {ci95[1]:.4g}]" if ci95 else "")
+    return f"{value:.4g} {bounds(ci95, '{:.4g}'.format)}" if ci95 else f"{value:.4g}"

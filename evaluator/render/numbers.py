@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from decimal import Decimal
 
 from gpusimbench.evaluator.missing import Missing
@@ -60,8 +61,12 @@ def interval(metric: Estimate) -> str:
     """The 95 % interval, a dash where there is none."""
     if isinstance(metric.value, Missing) or not metric.ci95:
         return NONE
-    low, high = metric.ci95
-    return f"[{figure(low, metric.unit)}, {figure(high, metric.unit)}]"
+    return bounds(metric.ci95, lambda end: figure(end, metric.unit))
+
+
+def bounds(ends: Iterable[float], shown: Callable[[float], str]) -> str:
+    """An interval from its ends, as they are shown: numbers with thousands hold commas, so "to" stands between them."""
+    return f"[{' to '.join(map(shown, ends))}]"
 
 
 def ulps(count: int | None, *, signs_differ: bool = False) -> str:
@@ -116,12 +121,11 @@ def estimate(found: Estimate, *notes: str, tone: Tone = Tone.PLAIN) -> Cell:
     """Mean and SD of an estimate with its 95 % interval, or the reason why there is none."""
     if isinstance(found.value, Missing):
         return missing(found.value)
-    bounds = interval(found)
     return Cell(
         mean_sd(found),
         float(found.value),
         found.ci95 or None,
-        "" if bounds == NONE else bounds,
+        interval(found) if found.ci95 else "",
         tuple(note for note in notes if note),
         tone,
     )

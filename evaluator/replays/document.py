@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from gpusimbench.evaluator.diff.verdict import apart, place_of
 from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
+from gpusimbench.evaluator.render.numbers import bounds
 from gpusimbench.evaluator.replays.comparison import Compared, Share
 from gpusimbench.evaluator.replays.verdict import Judged, Verdict
 from gpusimbench.schemas.text import plural
@@ -143,8 +144,10 @@ def _tone(found: Compared) -> Tone:
 
 
 def _share(of: Share) -> list[Cell | str]:
-    low, high = (f"{100 * end:.1f} %" for end in of.ci95)
-    return [of.verdict.value, str(of.episodes), f"{100 * of.share:.1f} %", f"[{low}, {high}]"]
+    def percent(share: float) -> str:
+        return f"{100 * share:.1f} %"
+
+    return [of.verdict.value, str(of.episodes), percent(of.share), bounds(of.ci95, percent)]
 
 
 def _row(of: Judged) -> list[Cell | str]:

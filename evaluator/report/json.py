@@ -91,12 +91,7 @@ def _variability(found: Variability) -> dict[str, Any]:
 
 
 def _interval(found: Interval) -> dict[str, Any]:
-    ends = None if found.low is None else (found.low, found.high)
-    return {
-        **picked(found, "estimate standard_error"),
-        **entry("ci95", ends, found.reason or ""),
-        "ci95_method": found.method,
-    }
+    return {**picked(found, "estimate standard_error ci95"), "ci95_method": found.method}
 
 
 def _convergence(one: Convergence) -> dict[str, Any]:

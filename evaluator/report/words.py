@@ -186,7 +186,7 @@ def floor_of(metric: Estimate) -> Floor:
     return details.permutation_test if isinstance(details, BetweenRuns | ToReference) else Floor()
 
 
-EXCHANGED = "first two: W1; floor; p"
+EXCHANGED = "first two: W1 [cm]; floor [cm]; p"
 """Title of ``exchanged``."""
 
 

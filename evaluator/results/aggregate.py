@@ -87,6 +87,4 @@ def ends_of(interval: Interval | None, runs: int, *, spread: bool) -> tuple[floa
     if not spread:
         # an interval of width zero would claim that rare differences are excluded
         return Missing(f"no spread in {runs} runs")
-    if interval.low is None or interval.high is None:
-        return Missing(interval.reason or "no interval")
-    return interval.low, interval.high
+    return interval.ci95

@@ -89,7 +89,7 @@ class Law:
     held: bool | None
     sensitivities: tuple[Sensitivity, ...]
     sd: float
-    left_out: str = ""
+    left_out: tuple[str, ...] = ()
     held_missing: str = ""
     p_value: float | None = None
 
@@ -149,7 +149,7 @@ def _uniform(label: str, scene: str, found: LawCounts) -> Law | Unmeasured:
         measured=test.statistic, predicted=float(test.degrees), difference=test.statistic - test.degrees, ci95=None,
         tolerance=test.critical - test.degrees, tolerance_formula=f"99.9 % of chi-squared; p = {test.p:.2g}",
         held=test.statistic <= test.critical, sensitivities=(load,), sd=0.0,
-        left_out=found.absent if count < found.of else "", p_value=test.p,
+        left_out=(found.absent,) if count < found.of else (), p_value=test.p,
     )  # fmt: skip
 
 
@@ -190,7 +190,7 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
         predicted=float(predicted[there].mean()) if judged else None, difference=mean if judged else None,
         ci95=(low, high) if count > 1 else None, tolerance=tolerance, tolerance_formula=first.of, held=held,
         sensitivities=tuple(sensitivity(name, slope) for name, slope in first.slopes),
-        sd=error * math.sqrt(count), left_out=first.absent if count < len(first.measured) else "",
+        sd=error * math.sqrt(count), left_out=(first.absent,) if count < len(first.measured) else (),
         held_missing=next((run.predicted.reason for run in alike if isinstance(run.predicted, Missing)), ""),
     )  # fmt: skip
 

@@ -72,8 +72,8 @@ def shown_slower(slower: Estimate, faster: Estimate) -> bool:
     """
     of_slower, of_faster = (fps.of(Throughput).per_run or () for fps in (slower, faster))
     found = ratio_of_means(of_slower, of_faster)
-    if found.high is not None:
-        return found.high < 1
+    if found.ci95:
+        return found.ci95[1] < 1
     # of many runs, none differs from another of its side
     many = min(len(of_slower), len(of_faster)) >= MIN_RUNS_A_SIDE
     return found.estimate < 1 if many else found.estimate <= _SLOWER
@@ -154,7 +154,7 @@ def _device_memory(group: GroupRuns) -> Memory:
         if r.cotenants.presence is Presence.SOME
     )
     return Memory(
-        source="device", checkpoints_bytes=tuple(r.gpu.device for r in group.runs if r.gpu), left_out=shared
+        source="device", checkpoints_bytes=tuple(r.gpu.device for r in group.runs if r.gpu), runs_left_out=shared
     )  # fmt: skip
 
 
@@ -167,7 +167,7 @@ def _host_memory(group: GroupRuns) -> Memory:
     return Memory(
         source="host",
         checkpoints_bytes=tuple(r.host for r in group.runs if r.host),
-        left_out=tuple(ShrunkRun(_index(r)) for r in group.runs if r.host and r.host.shrank),
+        runs_left_out=tuple(ShrunkRun(_index(r)) for r in group.runs if r.host and r.host.shrank),
     )
 
 
@@ -186,7 +186,7 @@ def _host(metric: Metric, group: GroupRuns) -> Estimate:
     if not isinstance(found.value, Missing) or not group.runs:
         return found
     details = _host_memory(group)
-    why = "the process held less in the timed phase than at the baseline" if details.left_out else _NOT_SAMPLED
+    why = "the process held less in the timed phase than at the baseline" if details.runs_left_out else _NOT_SAMPLED
     return missing(metric, why, details)
 
 

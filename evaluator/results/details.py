@@ -121,17 +121,17 @@ class Memory(OverRuns):
 
     source             "device", "process", "allocator" or "host"
     checkpoints_bytes  of every run that was sampled
-    left_out           runs whose figure cannot be used
+    runs_left_out      runs whose figure cannot be used
     """
 
     source: str = ""
     checkpoints_bytes: tuple[Checkpoints, ...] | None = field(default=None, metadata=_OPTIONAL)
-    left_out: tuple[SharedRun | ShrunkRun, ...] | None = field(default=None, metadata=_OPTIONAL)
+    runs_left_out: tuple[SharedRun | ShrunkRun, ...] | None = field(default=None, metadata=_OPTIONAL)
 
     @property
     def spoilt(self) -> bool:
         """Whether a run had an increment to which another process added."""
-        shared = [one for one in self.left_out or () if isinstance(one, SharedRun)]
+        shared = [one for one in self.runs_left_out or () if isinstance(one, SharedRun)]
         return any(one.increment_bytes is not None and one.increment_bytes >= 0 for one in shared)
 
 

@@ -219,9 +219,7 @@ def _cost(result: GroupResult, base: GroupResult | None, name: str) -> Cost:
         found = ratio_of_means(ours.of(OverRuns).per_run or (), theirs.of(OverRuns).per_run or ())
     except ValueError as error:
         return Cost(Missing(str(error)))
-    if found.low is None or found.high is None:
-        return Cost(found.estimate, Missing(found.reason or ""))
-    return Cost(found.estimate, (found.low, found.high))
+    return Cost(found.estimate, found.ci95)
 
 
 def _why_not(result: GroupResult, metric: Estimate) -> str:

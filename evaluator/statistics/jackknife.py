@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gpusimbench.evaluator.missing import Missing
+
 CONFIDENCE = 0.95
 
 MIN_RUNS_A_SIDE = 3
@@ -21,18 +23,15 @@ class Interval:
     """An estimate and its 95 % confidence interval, all in the unit of the values.
 
     estimate         mean over runs or run pairs
-    low, high        interval; None where it cannot be computed
-    standard_error   jackknife standard error; None likewise
+    ci95             low and high end of the interval, or why it cannot be computed
+    standard_error   jackknife standard error; None where there is no interval
     method           how the interval was obtained
-    reason           why there is no interval; None where there is one
     """
 
     estimate: float
-    low: float | None
-    high: float | None
+    ci95: tuple[float, float] | Missing
     standard_error: float | None
     method: str
-    reason: str | None = None
 
 
 def jackknife_mean(values: npt.ArrayLike) -> Interval:
@@ -62,7 +61,7 @@ def jackknife_mean(values: npt.ArrayLike) -> Interval:
     estimate = float(values[0] + offset.mean())
     method = _method("runs")
     if n_run < 2:
-        return Interval(estimate, None, None, None, method, "needs at least two runs, got 1")
+        return Interval(estimate, Missing("needs at least two runs, got 1"), None, method)
     without = (offset.sum() - offset) / (n_run - 1)
     return _interval(estimate, without, method)
 
@@ -103,7 +102,7 @@ def jackknife_pair_mean(matrix: npt.ArrayLike) -> Interval:
     estimate = float(matrix[0, 1] + total / (n_run * (n_run - 1) / 2))
     method = _method("run pairs")
     if n_run < 3:
-        return Interval(estimate, None, None, None, method, "needs at least three runs, got 2")
+        return Interval(estimate, Missing("needs at least three runs, got 2"), None, method)
     without = (total - by_run) / ((n_run - 1) * (n_run - 2) / 2)
     return _interval(estimate, without, method)
 
@@ -120,7 +119,7 @@ def _interval(estimate: float, without: npt.NDArray[np.float64], method: str) ->
     deviation = without - without.mean()
     error = float(np.sqrt((n_run - 1) / n_run * (deviation**2).sum()))
     reach = float(stdtrit(n_run - 1, 0.5 + CONFIDENCE / 2.0)) * error
-    return Interval(estimate, max(estimate - reach, 0.0), estimate + reach, error, method)
+    return Interval(estimate, (max(estimate - reach, 0.0), estimate + reach), error, method)
 
 
 def ratio_of_means(values: npt.ArrayLike, base: npt.ArrayLike) -> Interval:
@@ -144,20 +143,20 @@ def ratio_of_means(values: npt.ArrayLike, base: npt.ArrayLike) -> Interval:
     estimate = mean_of(sides[0]) / mean_of(sides[1])
     fewest = min(len(side) for side in sides)
     if fewest < MIN_RUNS_A_SIDE:
-        return Interval(
-            estimate, None, None, None, _OF_RATIO, f"needs at least {MIN_RUNS_A_SIDE} runs a side, got {fewest}"
-        )
+        few = Missing(f"needs at least {MIN_RUNS_A_SIDE} runs a side, got {fewest}")
+        return Interval(estimate, few, None, _OF_RATIO)
     squares = [_squared_error(side) for side in sides]
     total = sum(squares)
     if total == 0:
         # an interval of width zero would claim that rare differences are excluded
-        return Interval(estimate, None, None, None, _OF_RATIO, "no spread in the runs of either side")
+        return Interval(estimate, Missing("no spread in the runs of either side"), None, _OF_RATIO)
     from scipy.special import stdtrit  # what scipy.stats.t.ppf calls, without a second of imports
 
     freedom = total**2 / sum(square**2 / (len(side) - 1) for square, side in zip(squares, sides, strict=True))
     error = math.sqrt(total)
     reach = float(stdtrit(freedom, 0.5 + CONFIDENCE / 2.0)) * error
-    return Interval(estimate, estimate * math.exp(-reach), estimate * math.exp(reach), estimate * error, _OF_RATIO)
+    ends = (estimate * math.exp(-reach), estimate * math.exp(reach))
+    return Interval(estimate, ends, estimate * error, _OF_RATIO)
 
 
 def _side(values: npt.ArrayLike) -> npt.NDArray[np.float64]:

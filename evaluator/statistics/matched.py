@@ -196,7 +196,7 @@ def _with_spread(interval: Interval) -> Interval:
     # one of width zero would claim that rare differences are excluded
     if interval.standard_error != 0:
         return interval
-    return replace(interval, low=None, high=None, standard_error=None, reason="the runs do not differ")
+    return replace(interval, ci95=Missing("the runs do not differ"), standard_error=None)
 
 
 def _sd(values: list[float]) -> float | None:

@@ -16,11 +16,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import sys
-import tempfile
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from gpusimbench.recorder.environments.choice import check_known, interpreter_fo
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.software import describe_software
 from gpusimbench.recorder.process.launch import Interruptions
+from gpusimbench.recorder.process.scratch import OUTPUT, scratch_folder
 from gpusimbench.recorder.sets.finished import where_am_i
 from gpusimbench.recorder.sets.task import Task, make
 from gpusimbench.recorder.simulators.registry import find_simulator
@@ -82,21 +82,21 @@ def main() -> int:
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     say = _sayer()
     wanted = json.loads(sys.stdin.readline())
-    folder = Path(tempfile.mkdtemp(prefix="gsb-node-"))
     interruptions, left = Interruptions(), threading.Event()
     threading.Thread(target=_listen, args=(interruptions, left), daemon=True).start()
-    try:
-        _serve(wanted, folder, interruptions, say)
-        ended = ExitCode.OK
-    except GsbError as error:
-        ended = error.exit_code
-        say({"error": str(error), "exit_code": int(ended)})
-    except Exception as error:
-        ended = ExitCode.FAILURE
-        say({"error": f"{type(error).__name__}: {error}", "exit_code": int(ended)})
-    finally:
-        left.wait()  # until the files have been read
-        shutil.rmtree(folder, ignore_errors=True)
+    with ExitStack() as stack:
+        try:
+            folder, _ = stack.enter_context(scratch_folder())
+            _serve(wanted, folder, interruptions, say)
+            ended = ExitCode.OK
+        except GsbError as error:
+            ended = error.exit_code
+            say({"error": str(error), "exit_code": int(ended)})
+        except Exception as error:
+            ended = ExitCode.FAILURE
+            say({"error": f"{type(error).__name__}: {error}", "exit_code": int(ended)})
+        finally:
+            left.wait()  # until the files have been read
     return int(ended)
 
 
@@ -127,7 +127,7 @@ def _serve(wanted: dict[str, Any], folder: Path, interruptions: Interruptions, s
                 "file": result.path.name if result.path else None,
             },
             "folder": str(folder),
-            "files": [_described(path) for path in sorted(folder.iterdir()) if path.is_file()],
+            "files": [_described(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != OUTPUT],
         }
     )
 

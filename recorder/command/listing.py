@@ -96,7 +96,7 @@ def _about(entry: Entry, scenes: list[Scene]) -> Json:
         "precision": list(entry.precision),
         "abilities": titles(abilities),
         "scenes": [name for name, lacks in missing.items() if not lacks],
-        "missing_for": {name: lacks for name, lacks in missing.items() if lacks},
+        "refused": {name: lacks for name, lacks in missing.items() if lacks},
         "refused_on": refused,
         "determinism": {str(level): str(meaning) for level, meaning in levels.items()},
     }
@@ -131,7 +131,7 @@ def _about_real(scenes: list[Scene]) -> Json:
         "precision": ["float64"],
         "abilities": [],
         "scenes": [scene.name for scene in scenes if "cubes" in scene.groups()],
-        "missing_for": {},
+        "refused": {},
         "refused_on": {},
         "determinism": {},
     }
@@ -162,7 +162,7 @@ def details(about: Json) -> list[str]:
     """Where a simulator is installed, its devices, precision and scenes, a line each."""
     lines = _where(about)
     lines += [f"{what}: {', '.join(about[what])}" for what in ("devices", "precision", "scenes") if about[what]]
-    lines += [f"not {scene}: it has no {listed(missing)}" for scene, missing in about["missing_for"].items()]
+    lines += [f"not {scene}: it has no {listed(missing)}" for scene, missing in about["refused"].items()]
     return lines + [
         f"not {scene} on {device}: it has no {listed(missing)} there"
         for device, scenes in about["refused_on"].items()

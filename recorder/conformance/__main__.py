@@ -7,7 +7,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass
@@ -18,6 +17,7 @@ from gpusimbench.recorder.environments.choice import interpreter_for
 from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.options import split_options
 from gpusimbench.recorder.output import show, show_document
+from gpusimbench.recorder.process.scratch import scratch_folder
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
@@ -120,10 +120,10 @@ def run(given: list[str]) -> int:
 
 
 def _elsewhere(interpreter: Interpreter, given: list[str]) -> int:
-    with tempfile.TemporaryDirectory(prefix="gsb-code-") as folder:
+    with scratch_folder() as (folder, lock):
         command = interpreter.command("-m", "gpusimbench.recorder.conformance", *given)
-        environment = {**interpreter.environment(Path(folder)), _INSIDE: "1"}
-        code = subprocess.run(command, stdout=sys.stdout, env=environment).returncode
+        environment = {**interpreter.environment(folder), _INSIDE: "1"}
+        code = subprocess.run(command, stdout=sys.stdout, env=environment, pass_fds=(lock.fileno(),)).returncode
     return code if code >= 0 else int(ExitCode.FAILURE)
 
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -328,6 +325,7 @@ class Subject:
         from gpusimbench.recorder.environments.interpreter import own
         from gpusimbench.recorder.plan import reserve, utc_now
         from gpusimbench.recorder.process.launch import Interruptions, launch
+        from gpusimbench.recorder.process.scratch import scratch_folder
 
         if not self.scenes:
             raise NotApplicable("the adapter has not the abilities that any built-in scene needs")
@@ -344,8 +342,8 @@ class Subject:
             options=self.given,
             determinism=self.determinism,
         )
-        folder, created = Path(tempfile.mkdtemp(prefix="gsb-conformance-")), utc_now()
-        try:
+        created = utc_now()
+        with scratch_folder() as (folder, _):
             with Interruptions() as interruptions:
                 result = launch(
                     configuration,
@@ -360,8 +358,6 @@ class Subject:
             if interruptions.count:
                 raise KeyboardInterrupt
             return read(configuration, result)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _copy(state: States) -> States:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import subprocess
-import tempfile
 from pathlib import Path
 
 from gpusimbench.recorder.environments.interpreter import RECORDING, Interpreter, at, own
 from gpusimbench.recorder.environments.store import find
+from gpusimbench.recorder.process.scratch import scratch_folder
 from gpusimbench.recorder.scenes.registry import SCENES
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.simulators.registry import BUILT_IN, Entry
@@ -34,10 +34,10 @@ def check_known(interpreter: Interpreter, simulator: str, scene: str | None) -> 
     """
     if interpreter.own or (simulator in {entry.name for entry in BUILT_IN} and (scene is None or scene in SCENES)):
         return
-    with tempfile.TemporaryDirectory(prefix="gsb-code-") as folder:
+    with scratch_folder() as (folder, _):
         done = subprocess.run(
             interpreter.command("-c", _KNOWS, simulator, *filter(None, [scene])),
-            env=interpreter.environment(Path(folder)), capture_output=True, text=True,
+            env=interpreter.environment(folder), capture_output=True, text=True,
         )  # fmt: skip
     if done.returncode:
         said = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]

@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -16,6 +15,7 @@ from typing import Any
 
 from gpusimbench import schemas
 from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.recorder.process.scratch import scratch_folder
 from gpusimbench.schemas.errors import UsageError
 
 RECORDING = ("google.protobuf", "lz4", "mcap", "numpy", "psutil", "zstandard")
@@ -90,8 +90,8 @@ class Interpreter:
         """What recorder.probes.software says there."""
         if self.own:
             return describe_software()
-        with tempfile.TemporaryDirectory(prefix="gsb-code-") as folder:
-            said = _run(self.command("-c", _SOFTWARE), self.environment(Path(folder)))
+        with scratch_folder() as (folder, _):
+            said = _run(self.command("-c", _SOFTWARE), self.environment(folder))
         described: dict[str, Any] = json.loads(said)
         return described
 

@@ -1,15 +1,17 @@
-"""The folder that the process of a run works in; and those that nobody is left to remove.
+"""Temporary folders, such as the one that the process of a run works in; and those that nobody is left to remove.
 
-A run's process removes its folder even if its recorder was killed. Where both were killed, a later run removes it: the
-file that a run prints to is locked for as long as any process of the run, or its recorder, has it open.
+A run's process removes its folder even if its recorder was killed. Where all who would remove a folder were killed, the
+next one that is made removes it: a file in it is locked for as long as any process has the file open. In the folder of
+a run, it is the file that the run prints to.
 
 A folder has the name that others look for once its file is locked, so that no clock has to tell how old it is. The name
-says which boot of which machine it is of: machines with one folder for temporary files may not see each other's locks.
+says which machine it is of, for machines with one folder for temporary files may not see each other's locks.
 """
 
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
 import shutil
 import stat
@@ -23,15 +25,15 @@ from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.writing import create, reopen
 
 OUTPUT = "output"
-"""In the folder: what the run's process prints."""
+"""In the folder: the file that is locked, which has what the run's process prints."""
 
-_BOOT = Path("/proc/sys/kernel/random/boot_id")
-_BOOT_CHARACTERS = 8
+_MACHINE = Path("/etc/machine-id")
+_MACHINE_CHARACTERS = 8
 
 
 @contextmanager
 def scratch_folder() -> Iterator[tuple[Path, FileIO]]:
-    """A new folder and its open OUTPUT, which the run's process has to inherit; the folder is removed afterwards.
+    """A new folder and its open OUTPUT, which processes that work there have to inherit; it is removed afterwards.
 
     GsbError where there is no room for it.
     """
@@ -63,7 +65,7 @@ def making() -> Iterator[None]:
 
 
 def remove_abandoned() -> None:
-    """Remove the folders of this user's runs on this machine of which no process is left."""
+    """Remove the folders of this user on this machine of which no process is left, from before it started, too."""
     for folder in Path(tempfile.gettempdir()).glob(f"{_prefix()}*"):
         with suppress(OSError):  # of another user, or removed meanwhile
             found = folder.lstat()
@@ -75,8 +77,8 @@ def remove_abandoned() -> None:
 
 
 def _prefix() -> str:
-    try:
-        boot = _BOOT.read_text()[:_BOOT_CHARACTERS]
-    except OSError:
-        boot = os.uname().nodename  # as other machines have other names, mostly
-    return f"gsb-run-{boot}-"
+    # copies of a machine share the id, and containers of a machine may; they have other names
+    machine = os.uname().nodename
+    with suppress(OSError):
+        machine += _MACHINE.read_text()
+    return f"gsb-work-{hashlib.sha256(machine.encode()).hexdigest()[:_MACHINE_CHARACTERS]}-"

@@ -61,7 +61,7 @@ def test_success_is_in_per_cent(capsys: pytest.CaptureFixture[str]) -> None:
     near, sweep = recorded("near", 64, 4), recorded("sweep", 64, 4)
     assert main([str(near), str(sweep), "--no-cache"]) == 4
     (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("success of episodes"))
-    assert re.search(r" 73\.4 % +57\.8 % +by \[-\d\d\.\d pp, -\d\.\d pp\] ", row), row
+    assert re.search(r" 73\.4 % +57\.8 % +by \[-\d\d\.\d pp to -\d\.\d pp\] ", row), row
 
 
 def test_one_run_twice(capsys: pytest.CaptureFixture[str]) -> None:

@@ -100,7 +100,7 @@ def test_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[0] == verdict
     assert lines[2:4] == ["synthetic, inclined-collision, 1 env, dt 1 s: FAILED, 1 finding", runs]
     assert re.search(
-        r"^throughput \[env-steps/s\] +\d+ +\d+ +0\.833 +\[0\.\d{3}, 0\.\d{3}\] +0\.031 +REGRESSION", shown, re.M
+        r"^throughput \[env-steps/s\] +\d+ +\d+ +0\.833 +\[0\.\d{3} to 0\.\d{3}\] +0\.031 +REGRESSION", shown, re.M
     )
     assert re.search(r"^host memory increment +100\.0 MB +100\.0 MB +1\.000 +- +- +same *$", shown, re.M)
     assert "throughput (higher is better): N_env * N_step / T_step" in shown

@@ -249,7 +249,7 @@ def test_verdicts_of_what_is_to_be_one(change: Change, said: str) -> None:
             finding(
                 Change.REGRESSION, unit="B", base=2e6, head=3e9, ratio=1500.0, ci95=(0.0005, 999.4), p_adjusted=0.0123
             ),
-            ("title of fps", "2.000 MB", "3.000 GB", "1.5e+03", "[0.0005, 999.400]", "0.012", "REGRESSION"),
+            ("title of fps", "2.000 MB", "3.000 GB", "1.5e+03", "[0.0005 to 999.400]", "0.012", "REGRESSION"),
         ),
         (
             finding(Change.SAME, unit="s", base=1.23456, head=1.5, ratio=1.2345),

@@ -66,7 +66,7 @@ def test_shipped_runs_with_a_co_tenant(
     result = only(shipped(name, *runs))
     device, own = (result.metrics[metric] for metric in GPU_MEMORY)
     assert device.value == pytest.approx(increment, abs=5e-4)
-    assert [one.run for one in device.of(Memory).left_out or ()] == out
+    assert [one.run for one in device.of(Memory).runs_left_out or ()] == out
     assert (device.n, device.of(Memory).source) == (len(runs) - len(out), "device")
     assert own.value == pytest.approx(process, abs=5e-4)
     assert (own.n, own.of(Memory).source) == (len(runs), "process")

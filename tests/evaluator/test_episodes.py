@@ -124,7 +124,8 @@ def test_what_a_reader_gets(tmp_path: Path) -> None:
     target = tmp_path / "found.json"
     shown = call("gsb-episodes", path, "--per-env", 3, "--success", "success", "--json", target, code=0).stdout
     policy = json.loads(target.read_text())["policy"]
-    assert f"192: the first 3 of each of 64 environments; {policy['left_out']} finished episodes are left out" in shown
+    lost = policy["n_left_out"]
+    assert f"192: the first 3 of each of 64 environments; {lost} finished episodes are left out" in shown
     success, returned = policy["quantities"]
     counts = round(192 * success["mean"])
     low, high = wilson(counts, 192)

@@ -136,7 +136,7 @@ def shift(ratio: float | None = 0.5, ci95: tuple[float, float] | None = (0.25, 0
 @pytest.mark.parametrize(
     ("metric", "moved", "said"),
     [
-        (FPS, shift(), "-50 % [-75 %, -25 %] (100 -> 50 env-steps/s)"),
+        (FPS, shift(), "-50 % [-75 % to -25 %] (100 -> 50 env-steps/s)"),
         (FPS, shift(ci95=None), "-50 % (100 -> 50 env-steps/s)"),
         (HOST, shift(ratio=None), "100.00 -> 50.00 MB"),
         (METRICS["distinct_runs"], shift(ratio=None), "100 -> 50"),

@@ -259,7 +259,7 @@ def test_values_have_sensible_digits(several: Evaluation) -> None:
     """Print thousands separators, the SD and interval, and no rounded zero for what is not zero."""
     text = Page(render(several)).text
     assert "1,234,567 ± 321" in text
-    assert "[1,233,000, 1,236,000]" in text
+    assert "[1,233,000 to 1,236,000]" in text
     assert "3.375 ± 0.125" in text
     assert "1.2e-05" in text
     assert "3 of 4" in text

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.statistics.jackknife import jackknife_mean, jackknife_pair_mean, ratio_of_means
 
 
@@ -23,32 +24,27 @@ def test_mean_is_the_student_interval() -> None:
     error = values.std(ddof=1) / np.sqrt(10)
     assert result.estimate == pytest.approx(values.mean())
     assert result.standard_error == pytest.approx(error)
-    assert (result.low, result.high) == pytest.approx(stats.t.interval(0.95, 9, loc=values.mean(), scale=error))
+    assert known(result.ci95) == pytest.approx(stats.t.interval(0.95, 9, loc=values.mean(), scale=error))
 
 
 def test_mean_clips_at_zero() -> None:
     """Clip the lower end at zero, and say so."""
     result = jackknife_mean([0.0, 0.1, 4.0])
-    assert result.low == 0.0
+    assert result.ci95
+    assert result.ci95[0] == 0.0
     assert result.method.endswith("lower end clipped at 0")
 
 
 def test_equal_values_have_no_width() -> None:
     """Give an interval of no width for equal values, without rounding."""
     result = jackknife_mean([4.21] * 7)
-    assert (result.estimate, result.low, result.high, result.standard_error) == (
-        4.21,
-        4.21,
-        4.21,
-        0.0,
-    )
+    assert (result.estimate, result.ci95, result.standard_error) == (4.21, (4.21, 4.21), 0.0)
 
 
 def test_one_run_has_no_interval() -> None:
     """Give a reason in place of an interval for a single run."""
     result = jackknife_mean([1.5])
-    assert (result.estimate, result.low, result.high) == (1.5, None, None)
-    assert result.reason == "needs at least two runs, got 1"
+    assert (result.estimate, result.ci95) == (1.5, Missing("needs at least two runs, got 1"))
 
 
 def test_pair_mean_by_definition() -> None:
@@ -67,21 +63,21 @@ def test_pair_mean_by_definition() -> None:
 def test_pair_mean_of_equal_distances() -> None:
     """Give an interval of no width where all pairs are equally far apart."""
     result = jackknife_pair_mean(2.15 * (1 - np.eye(10)))
-    assert (result.estimate, result.low, result.high) == (2.15, 2.15, 2.15)
+    assert (result.estimate, result.ci95) == (2.15, (2.15, 2.15))
 
 
 def test_pair_mean_clips_at_zero() -> None:
     """Keep the lower end of a distance at zero."""
     result = jackknife_pair_mean(distances(np.array([0.0, 0.0, 0.0, 1.0])))
-    assert result.low == 0.0
+    assert result.ci95
+    assert result.ci95[0] == 0.0
     assert "clipped" in result.method
 
 
 def test_two_runs_have_no_interval() -> None:
     """Give a reason in place of an interval for one pair."""
     result = jackknife_pair_mean([[0.0, 3.0], [3.0, 0.0]])
-    assert (result.estimate, result.low, result.high) == (3.0, None, None)
-    assert result.reason == "needs at least three runs, got 2"
+    assert (result.estimate, result.ci95) == (3.0, Missing("needs at least three runs, got 2"))
 
 
 def test_coverage() -> None:
@@ -93,9 +89,8 @@ def test_coverage() -> None:
     for _ in range(n_trial):
         matrix = distances(rng.normal(size=n_run))
         result = jackknife_pair_mean(matrix)
-        assert result.low is not None
-        assert result.high is not None
-        covered += result.low <= truth <= result.high
+        assert result.ci95
+        covered += result.ci95[0] <= truth <= result.ci95[1]
         pairs = matrix[np.triu_indices(n_run, 1)]
         reach = 2.015 * pairs.std(ddof=1) / np.sqrt(len(pairs))  # t(44), 95 %
         naive += abs(pairs.mean() - truth) <= reach
@@ -138,9 +133,10 @@ def test_ratio_scales(values: list[float], base: list[float], scale: float) -> N
     assert found.estimate == pytest.approx(np.mean(values) / np.mean(base))
     assert scaled.estimate == pytest.approx(scale * found.estimate)
     assert turned.estimate == pytest.approx(1 / found.estimate)
-    if found.low is not None and found.high is not None and turned.low is not None:
-        assert 0 <= found.low <= found.estimate <= found.high
-        assert turned.low == pytest.approx(1 / found.high)
+    if found.ci95 and turned.ci95:
+        low, high = found.ci95
+        assert 0 <= low <= found.estimate <= high
+        assert turned.ci95[0] == pytest.approx(1 / high)
 
 
 def test_small_spread_is_the_classical_interval() -> None:
@@ -151,8 +147,7 @@ def test_small_spread_is_the_classical_interval() -> None:
     a, b = 3 + 0.001 * rng.standard_normal(5), 2 + 0.003 * rng.standard_normal(8)
     found = ratio_of_means(a, b)
     classical = stats.ttest_ind(np.log(a), np.log(b), equal_var=False).confidence_interval(0.95)
-    assert found.low == pytest.approx(np.exp(classical.low), rel=1e-5)
-    assert found.high == pytest.approx(np.exp(classical.high), rel=1e-5)
+    assert known(found.ci95) == pytest.approx(np.exp(classical), rel=1e-5)
 
 
 @pytest.mark.parametrize(("n_a", "n_b"), [(3, 3), (5, 10)])
@@ -162,18 +157,17 @@ def test_coverage_of_ratios(n_a: int, n_b: int) -> None:
     trials, hits = 1000, 0
     for _ in range(trials):
         found = ratio_of_means(rng.normal(10, 0.5, n_a), rng.normal(5, 1.0, n_b))
-        assert found.low is not None
-        assert found.high is not None
-        hits += found.low <= 2 <= found.high
+        assert found.ci95
+        hits += found.ci95[0] <= 2 <= found.ci95[1]
     assert 0.92 < hits / trials < 0.99
 
 
 def test_no_interval_says_why() -> None:
     """Name what an interval lacks, and refuse what has no ratio."""
     few = ratio_of_means([1.0, 2.0], [1.0, 1.0, 1.0])
-    assert (few.low, few.reason) == (None, "needs at least 3 runs a side, got 2")
+    assert few.ci95 == Missing("needs at least 3 runs a side, got 2")
     equal = ratio_of_means([0.3] * 3, [0.1] * 7)
-    assert (equal.low, equal.reason) == (None, "no spread in the runs of either side")
+    assert equal.ci95 == Missing("no spread in the runs of either side")
     assert ratio_of_means([0.3] * 3, [0.3] * 7).estimate == 1.0
     for bad in ([], [0.0], [-1.0], [np.nan], [[1.0]]):
         with pytest.raises(ValueError, match=r"values"):

@@ -123,6 +123,7 @@ def test_one_cube_of_many_is_shown(few: Evaluation) -> None:
     made = tables_of(few)
     (row,) = rows_of(made["variability-others"]).values()
     assert row["bodies off the board [bodies per env]"].text == "0.04"
+    assert any(line.startswith("clamped:") for line in made["variability-distances"].legend)
     (row,) = rows_of(made["variability-distances"]).values()
     clamped = [cell.text for title, cell in row.items() if title.startswith("clamped W1")]
     assert len(clamped) == 3
@@ -138,14 +139,17 @@ def test_one_cube_of_many_is_shown(few: Evaluation) -> None:
 def test_floor_and_p_stand_beside_runs(tmp_path: Path) -> None:
     """Show the permutation floor and p of W1 between runs in text, JSON, HTML, tables and Parquet."""
     rng = np.random.default_rng(1)
-    files = [write_recording(tmp_path, grid(4) + rng.normal(0, 0.01, (4, 27, 3)), run=r) for r in range(3)]
+    files = [write_recording(tmp_path, grid(4) + rng.normal(0, 0.002, (4, 27, 3)) * [1, 1, 0], run=r) for r in range(3)]
     found = evaluate_files(files)
     floor = to_json(found)["groups"][0]["metrics"]["w1_run_to_run"]["extra"]["permutation_test"]["w1"]
     shown = f"{floor['observed_cm']:.3f}; {floor['floor_mean_cm']:.3f}; {floor['p_value']:.2g}"
     assert shown in text_of(found)
     assert shown in render_html(found, published=False, command="")
-    (row,) = tables_of(found)["variability-distances"].rows
-    assert shown in [one.text for one in row.cells]
+    table = tables_of(found)["variability-distances"]
+    (row,) = table.rows
+    assert row.cells[[one.title for one in table.columns].index("first two: W1 [cm]; floor [cm]; p")].text == shown
+    assert any(line.startswith("first two: ") for line in table.legend)
+    assert not any(line.startswith("clamped") for line in table.legend)  # no cube left the board: there is no column
     rows = {record["metric"]: record for record in frames(found)["metrics.parquet"].iter_rows(named=True)}
     assert rows["w1_run_to_run"]["floor"] == floor["floor_mean_cm"]
     assert rows["w1_run_to_run"]["p_value"] == floor["p_value"]

@@ -76,8 +76,8 @@ def test_noise_that_grows_with_the_number_of_envs_is_seen() -> None:
     small, large = matched_variability({4: one_law(5, 4), 16: shaken}, w1, n_draw=8, seed=0)
     assert small.matched.run_to_run is not None
     assert large.matched.run_to_run is not None
-    assert large.matched.run_to_run.low is not None
-    assert small.matched.run_to_run.high is not None
+    assert large.matched.run_to_run.ci95
+    assert small.matched.run_to_run.ci95
     assert large.matched.run_to_run.estimate > 2 * small.matched.run_to_run.estimate
     assert large.matched.floor is not None
     assert large.matched.run_to_run.estimate > 1.2 * large.matched.floor
@@ -92,7 +92,7 @@ def test_identical_runs_have_none_at_any_size() -> None:
     assert point.matched.parallel is not None
     assert point.matched.parallel.estimate > 0
     for found in (point.matched.run_to_run, point.matched.parallel):
-        assert (found.low, found.high, found.reason) == (None, None, "the runs do not differ")
+        assert found.ci95 == Missing("the runs do not differ")
 
 
 def test_what_is_not_computed() -> None:

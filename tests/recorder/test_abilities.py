@@ -196,14 +196,14 @@ def test_what_fits_nothing_is_listed(added: dict[str, str], gsb_record: Command)
     assert "not free-fall: it has no free bodies, boxes or planes\n" in text
     record = json.loads(gsb_record("--list", "--json", env=added).stdout)
     known = {about["name"]: about for about in record["simulators"]}
-    lacks = [about["missing_for"]["walker"] for about in known.values() if "walker" in about["missing_for"]]
+    lacks = [about["refused"]["walker"] for about in known.values() if "walker" in about["refused"]]
     assert lacks.count(["floating-base robots"]) == len(WITH_ROBOTS)
     assert lacks.count(["floating-base robots", "hinge joints", "actions"]) == len(ENGINES) - len(WITH_ROBOTS) + 1
     assert (known["idle"]["abilities"], known["idle"]["scenes"]) == ([], [])
-    assert known["mujoco"]["missing_for"] == {"walker": ["floating-base robots"]}
+    assert known["mujoco"]["refused"] == {"walker": ["floating-base robots"]}
     assert known["mujoco"]["scenes"] == list(SCENES)
     needs = {scene["name"]: scene["needs"] for scene in record["scenes"]}
-    assert needs["walker"] == known["idle"]["missing_for"]["walker"]
+    assert needs["walker"] == known["idle"]["refused"]["walker"]
 
 
 @pytest.mark.parametrize(

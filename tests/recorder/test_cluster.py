@@ -458,7 +458,7 @@ def _begin(nodes: Nodes, out: Path, *arguments: str, mode: str = "slow") -> subp
 
 
 def _written(folder: Path) -> list[Path]:
-    return [path for path in folder.glob("gsb-node-*/*.partial") if path.stat().st_size]
+    return [path for path in folder.glob("gsb-work-*/*.partial") if path.stat().st_size]
 
 
 @pytest.mark.slow

@@ -63,7 +63,7 @@ def test_what_is_not_known_to_be_abandoned_stays(temporary: Path) -> None:
     """Leave a folder without the file, a link, folders of others, and those of machines whose locks may not be seen."""
     with scratch.scratch_folder() as (folder, _):
         machine = folder.name.rpartition("-")[0]
-    bare, other, elsewhere = (temporary / name for name in (f"{machine}-bare", "others", "gsb-run-0-elsewhere"))
+    bare, other, elsewhere = (temporary / name for name in (f"{machine}-bare", "others", "gsb-work-0-elsewhere"))
     link, abandoned = temporary / f"{machine}-link", temporary / f"{machine}-abandoned"
     for made in (bare, other, elsewhere, abandoned):
         made.mkdir()
@@ -73,6 +73,13 @@ def test_what_is_not_known_to_be_abandoned_stays(temporary: Path) -> None:
     scratch.remove_abandoned()
     assert {*temporary.iterdir()} == {bare, other, elsewhere, link}
     assert (other / scratch.OUTPUT).exists()
+
+
+def test_a_folder_of_before_a_restart_is_known(temporary: Path) -> None:
+    """Name folders by the machine and not by its boot: no process has a lock of an earlier boot."""
+    with scratch.scratch_folder() as (folder, _):
+        assert folder.parent == temporary
+        assert Path("/proc/sys/kernel/random/boot_id").read_text()[:8] not in folder.name
 
 
 def test_no_other_run_takes_a_folder_that_is_not_locked_yet(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,7 +109,7 @@ def test_a_later_run_removes_what_killed_ones_left(tmp_path: Path, temporary: Pa
     recorder.kill()
     os.kill(int(child), signal.SIGKILL)
     recorder.communicate()
-    (left,) = temporary.glob("gsb-run-*")
+    (left,) = temporary.glob("gsb-work-*")
 
     def removed() -> bool:
         with scratch.scratch_folder() as (folder, _):
@@ -110,7 +117,7 @@ def test_a_later_run_removes_what_killed_ones_left(tmp_path: Path, temporary: Pa
         return not left.exists()
 
     wait_for(removed)  # the killed process may hold its lock for a moment
-    assert list(temporary.glob("gsb-run-*")) == []
+    assert list(temporary.glob("gsb-work-*")) == []
 
 
 def test_a_folder_that_cannot_be_made(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,9 +136,42 @@ def test_a_folder_that_is_removed_during_a_run(plugin: dict[str, str], tmp_path:
         env={**plugin, "TMPDIR": str(temporary)},
     )  # fmt: skip
     wait_for(lambda: any(path.stat().st_size for path in tmp_path.glob("*.partial")))
-    (folder,) = temporary.glob("gsb-run-*")
+    (folder,) = temporary.glob("gsb-work-*")
     shutil.rmtree(folder)
     (folder_of(plugin) / "let-go").touch()
     path = recorder.communicate()[0].strip()
     assert open_recording(path).status == "complete"
     assert Container(path).attachment(ENGINE_LOG) == b"--- what was printed cannot be read: No such file or directory\n"
+
+
+_NODE = "from gpusimbench.recorder.cluster.node import main; main()"
+_CONFORMANCE = "from gpusimbench.recorder.conformance import Subject; Subject.named('mujoco').recording"
+_SOFTWARE = """
+import sys
+from pathlib import Path
+from gpusimbench.recorder.environments.interpreter import Interpreter
+Interpreter(Path(sys.argv[1])).software()
+"""
+
+
+@pytest.mark.parametrize("program", [_NODE, _CONFORMANCE, _SOFTWARE], ids=["node", "conformance", "other Python"])
+def test_other_makers_of_folders_are_killed(tmp_path: Path, temporary: Path, program: str) -> None:
+    """Remove what was left on a machine of a cluster, by a run of conformance, and by a look at another Python."""
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\nexec sleep 600\n")
+    python.chmod(0o755)
+    arguments = [sys.executable, "-c", program, str(python)]
+    process = subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True)
+    assert process.stdin is not None
+    process.stdin.write(b'{"code": ""}\n')
+    process.stdin.flush()
+    deadline = time.monotonic() + 60
+    while not (made := [*temporary.glob("gsb-[!n]*")]) and time.monotonic() < deadline:  # not those without a lock yet
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    assert made
+    while any(temporary.iterdir()) and time.monotonic() < deadline:  # a run that was begun removes its own folder
+        scratch.remove_abandoned()
+        time.sleep(0.01)
+    assert list(temporary.iterdir()) == []

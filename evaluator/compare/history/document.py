@@ -31,7 +31,7 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.figures.history import Dot, Level, Mark, history_chart
-from gpusimbench.evaluator.render.numbers import NONE, figure
+from gpusimbench.evaluator.render.numbers import NONE, bounds, figure
 from gpusimbench.evaluator.results.metric import Direction
 from gpusimbench.schemas.text import plural
 
@@ -194,8 +194,8 @@ def _value(sample: Sample | None, curve: Curve) -> Cell:
     if sample is None or isinstance(sample.value, Missing):
         return EMPTY
     unit = curve.metric.unit
-    bounds = f"[{figure(sample.ci95[0], unit)}, {figure(sample.ci95[1], unit)}]" if sample.ci95 else ""
-    return Cell(figure(sample.value, unit), sample.value, sample.ci95, bounds)
+    span = bounds(sample.ci95, lambda end: figure(end, unit)) if sample.ci95 else ""
+    return Cell(figure(sample.value, unit), sample.value, sample.ci95, span)
 
 
 def _shifts(curve: Curve, history: History) -> Cell:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from gpusimbench.evaluator.compare.counted import compare_mechanics, compare_validity
-from gpusimbench.evaluator.compare.finding import DIFFERENT, FAILING, Change, Finding, Settings
+from gpusimbench.evaluator.compare.finding import DIFFERENT, FAILING, Change, Finding, Settings, exit_code_of
 from gpusimbench.evaluator.compare.history.curves import Curve, Shift, curves_of, searched
 from gpusimbench.evaluator.compare.history.series import Entry, Point, Points, Series, series_of
 from gpusimbench.evaluator.compare.matching import Pair
@@ -134,12 +134,9 @@ class History:
 
     @property
     def exit_code(self) -> ExitCode:
-        """As of a comparison: 4 before 3, 3 before 5."""
-        if self.failing:
-            return ExitCode.GATE_FAILED
-        if self.unreadable or self.lost:
-            return ExitCode.DATA_LOST
-        return ExitCode.OK if self.compared and not self.undecided else ExitCode.NOTHING_COMPARABLE
+        """As of a comparison."""
+        lost = bool(self.unreadable or self.lost)
+        return exit_code_of(failing=bool(self.failing), lost=lost, decided=self.compared and not self.undecided)
 
 
 def trace(found: Points, settings: Settings, work: Work, *, gated: bool = False) -> History:

@@ -7,7 +7,7 @@ from collections import Counter
 from gpusimbench.evaluator.compare.finding import Change, Finding
 from gpusimbench.evaluator.compare.history.curves import Curve, Shift
 from gpusimbench.evaluator.compare.history.history import Event, History
-from gpusimbench.evaluator.render.numbers import figure
+from gpusimbench.evaluator.render.numbers import bounds, figure
 from gpusimbench.schemas.text import plural
 
 
@@ -71,8 +71,8 @@ def _shifted(shift: Shift, curve: Curve) -> str:
     levels = f"{figure(shift.before, unit)} -> {figure(shift.after, unit)} {unit}".strip()
     if shift.ratio is None:
         return levels
-    bounds = f" [{', '.join(percent(end) for end in shift.ci95)}]" if shift.ci95 else ""
-    return f"{percent(shift.ratio)}{bounds} ({levels})"
+    span = f" {bounds(shift.ci95, percent)}" if shift.ci95 else ""
+    return f"{percent(shift.ratio)}{span} ({levels})"
 
 
 def _stated(finding: Finding) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Section, Text, key_of, table
-from gpusimbench.evaluator.render.numbers import NONE, distance
+from gpusimbench.evaluator.render.numbers import NONE, bounds, distance
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.sweeps import Accumulation
 from gpusimbench.evaluator.statistics.jackknife import Interval
@@ -72,6 +72,6 @@ def _cells(found: Variability) -> tuple[str, str]:
 def _value(found: Interval | None) -> str:
     if found is None:
         return NONE
-    if found.low is None or found.high is None:
+    if not found.ci95:
         return distance(found.estimate)
-    return f"{distance(found.estimate)} [{distance(found.low)}, {distance(found.high)}]"
+    return f"{distance(found.estimate)} {bounds(found.ci95, distance)}"

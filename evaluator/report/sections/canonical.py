@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
-from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.render.numbers import NONE, bounds
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.canonical import LARGEST, UNITS, Law, Sensitivity, Unmeasured
 from gpusimbench.schemas.text import plural
@@ -43,7 +43,7 @@ def section(source: Source) -> Section | None:
 
 def _cells(law: Law) -> tuple[Cell, ...]:
     unit = f" [{law.unit}]" if law.unit else ""
-    interval = f"[{law.ci95[0]:.3g}, {law.ci95[1]:.3g}]" if law.ci95 else ""
+    interval = bounds(law.ci95, "{:.3g}".format) if law.ci95 else ""
     changes = "; ".join(map(change, law.sensitivities))
     verdict = Cell("held", tone=Tone.GOOD) if law.held else Cell("BROKEN", tone=Tone.BAD)
     difference, predicted = Cell(NONE), Cell(NONE)
@@ -53,7 +53,7 @@ def _cells(law: Law) -> tuple[Cell, ...]:
     else:
         difference = Cell(f"{law.difference:.3g} {interval}".rstrip(), law.difference)
         value, predicted = Cell(f"{law.measured:.5g}", law.measured), Cell(f"{law.predicted:.5g}", law.predicted)
-    envs = Cell(f"{law.count} of {law.of_envs}", law.count, notes=(law.left_out,) if law.left_out else ())
+    envs = Cell(f"{law.count} of {law.of_envs}", law.count, notes=law.left_out)
     return (
         Cell(law.label), Cell(law.title + unit), envs,
         value, predicted, difference, Cell(f"{law.tolerance:.3g}", law.tolerance, notes=(law.tolerance_formula,)),

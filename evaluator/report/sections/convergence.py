@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
-from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.render.numbers import NONE, bounds
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.statistics.convergence import AGREE, Order
@@ -83,5 +83,4 @@ def said(one: Convergence) -> str:
         return NONE
     if isinstance(one.found.ci95, Missing):
         return f"{one.found.order:.2f}"
-    low, high = one.found.ci95
-    return f"{one.found.order:.2f} [{low:.2f}, {high:.2f}]"
+    return f"{one.found.order:.2f} {bounds(one.found.ci95, '{:.2f}'.format)}"

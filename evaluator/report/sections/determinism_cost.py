@@ -17,7 +17,7 @@ from gpusimbench.evaluator.render.document import (
     Tone,
     items,
 )
-from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.render.numbers import NONE, bounds
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_groups
 from gpusimbench.evaluator.report.source import Source
@@ -96,9 +96,9 @@ def _bits(result: GroupResult, metric: Metric, reasons: Reasons) -> Cell:
 def _cost(found: Cost, reasons: Reasons) -> Cell:
     if isinstance(found.ratio, Missing):
         return reasons.cell(found.ratio.reason)
-    bounds = f"[{found.ci95[0]:.3g}, {found.ci95[1]:.3g}]" if found.ci95 else ""
+    span = bounds(found.ci95, "{:.3g}".format) if found.ci95 else ""
     notes = (SAME,) if found.undecided else (no_interval,) if (no_interval := why_missing(found.ci95)) else ()
-    return Cell(f"x {found.ratio:.3g}", found.ratio, found.ci95 or None, bounds, notes)
+    return Cell(f"x {found.ratio:.3g}", found.ratio, found.ci95 or None, span, notes)
 
 
 def of_family(family: Family) -> list[GroupResult]:
@@ -125,4 +125,4 @@ def ratio(cost: Cost) -> str:
 def _brief(cost: Cost) -> str:
     if isinstance(cost.ratio, Missing) or not cost.ci95:
         return ratio(cost)
-    return f"{cost.ratio:.3g} [{cost.ci95[0]:.3g}, {cost.ci95[1]:.3g}]"
+    return f"{cost.ratio:.3g} {bounds(cost.ci95, '{:.3g}'.format)}"

@@ -200,8 +200,7 @@ def _scaled(metric: Estimate | None, scale: float, decimals: int) -> Printed:
     note = f"{metric.value * scale:.2g}" if float(value) == 0 else ""
     if not metric.ci95:
         return Printed(value, _no_interval(metric), note)
-    low, high = (f"{end * scale:.{decimals}f}" for end in metric.ci95)
-    return Printed(value, f"[{low}, {high}]", note)
+    return Printed(value, numbers.bounds(metric.ci95, lambda end: f"{end * scale:.{decimals}f}"), note)
 
 
 def _no_interval(metric: Estimate) -> str:

@@ -170,8 +170,7 @@ def value(found: Estimate, reasons: Reasons, *notes: str, tone: Tone = Tone.PLAI
     """An estimate as its metric is written; without a value, the letter of the reason."""
     if isinstance(found.value, Missing):
         return reasons.cell(found.value.reason)
-    bounds = numbers.interval(found)
-    shown = "" if bounds == numbers.NONE else bounds
+    shown = numbers.interval(found) if found.ci95 else ""
     said = tuple(note for note in notes if note and note != numbers.NONE)
     return Cell(words.cell(found), float(found.value), found.ci95 or None, shown, said, tone)
 

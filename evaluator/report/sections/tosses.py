@@ -8,7 +8,7 @@ from dataclasses import replace
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Column, Section, Text
 from gpusimbench.evaluator.render.document import Table as Grid
-from gpusimbench.evaluator.render.numbers import figure
+from gpusimbench.evaluator.render.numbers import bounds, distance, figure
 from gpusimbench.evaluator.report.leaders import fastest, speaks_against_pair
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written, column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
@@ -126,8 +126,7 @@ def _more_than_first(order: Sequence[Ranked]) -> tuple[Column, Written]:
         one = found[result.label]
         if one.against is None or one.adjusted is None:
             return EMPTY
-        low, high = one.against.ci95 or (None, None)
-        span = "" if low is None or high is None else f"[{figure(low, 'cm')}, {figure(high, 'cm')}]"
+        span = bounds(one.against.ci95, distance) if one.against.ci95 else ""
         p = "p < 0.001" if one.adjusted < 0.001 else f"p = {one.adjusted:.2g}"
         least = one.against.visible
         visible = "one toss alone" if least is None else f"visible from {figure(least, 'cm')}"

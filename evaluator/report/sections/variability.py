@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Text, Tone, items, key_of
@@ -36,21 +37,27 @@ from gpusimbench.schemas.text import plural
 
 _BITS = "Environments and runs with other bits, and how far apart they are"
 _OTHERS = "Bodies that were lost, growth of differences, and what capturing changed"
-_DISTANCES = "W1 between planar positions: clamped to the board, and what exchanging environments gives"
+_DISTANCES = "Further W1 between planar positions"
 _JOINTS = "Distances in joint space: angles in rad, sliding joints in cm"
-_JOINTS_LEGEND = (
-    "root mean square over the joints of the difference of two environments, or of the same environment of two runs; "
-    "hinges and ball joints are in one number, sliding joints in another",
-)
-_LEGEND = (
+_JOINTS_LEGEND = {
+    "": "root mean square over the joints of the difference of two environments, or of the same environment of two "
+    "runs; hinges and ball joints are in one number, sliding joints in another",
+}
+_WHERE = (
     "W1 compares where bodies lie seen from above, whichever body lies where: bodies that swapped places, or that "
     "differ in height or angle only, are at distance 0. Only the counts of distinct environments and runs compare all "
-    "bits.",
-    "clamped: each body beside the board is put at its nearest edge, so that flight after a fall does not count",
-    f"{words.EXCHANGED}: W1 of the first two runs (or of the first run and the reference), its mean with whole "
-    "environments exchanged between them at random, and the share of exchanges that give as much",
-    "0 alone is an exact zero; published tables round, and their 0.00 can hide up to 0.005 cm",
+    "bits."
 )
+_ZERO = "0 alone is an exact zero; published tables round, and their 0.00 can hide up to 0.005 cm"
+_CLAMPED = "clamped"
+_DISTANCES_LEGEND = {
+    "": f"{_WHERE} {_ZERO}",
+    _CLAMPED: "clamped: each body beside the board is put at its nearest edge, so that flight after a fall does not "
+    "count",
+    words.EXCHANGED: f"{words.EXCHANGED}: W1 of the first two runs (or of the first run and the reference), its mean "
+    "with whole environments exchanged between them at random, and the share of exchanges that give as much",
+}
+"""Beginnings of titles, and what must be known to read such columns."""
 
 
 def section(source: Source) -> Section | None:
@@ -72,11 +79,11 @@ def section(source: Source) -> Section | None:
     ]
     of_others = [column_of(m, others) if m not in (LEFT_BOARD, SANK) else _cubes(m, others) for m in rest]
     of_bits += [(Column(m.titled, m.method), _distance(m, bits)) for m in distances if placed]
-    legend = [*types_of(results), _LEGEND[0], _LEGEND[-1]] if placed else []
+    legend = [*types_of(results), _WHERE, _ZERO] if placed else []
     more = (
-        ("distances", _DISTANCES, [*_apart(distances)], apart, _LEGEND),
+        ("distances", _DISTANCES, [*_apart(distances)], apart, _DISTANCES_LEGEND),
         ("joints", _JOINTS, [column_of(metric, joints) for metric in JOINT_METRICS], joints, _JOINTS_LEGEND),
-        ("others", _OTHERS, of_others, others, ()),
+        ("others", _OTHERS, of_others, others, dict[str, str]()),
     )
     blocks: list[Block] = [
         of_groups(source, "variability", _BITS, results, of_bits, bits, legend),
@@ -91,16 +98,22 @@ def section(source: Source) -> Section | None:
 
 def _closed(
     source: Source, name: str, caption: str, columns: Sequence[tuple[Column, Written]], reasons: Reasons,
-    legend: Sequence[str],
+    legend: Mapping[str, str],
 ) -> Iterator[Block]:  # fmt: skip
-    """A closed table of the groups that have anything in it; where none has, the reasons in a line each, if any."""
+    """A closed table of the groups that have anything in it; where none has, the reasons in a line each, if any.
+
+    legend  of columns by the beginnings of their titles: a line stands only below a table that has such a column
+    """
     key = f"variability-{name}"
-    found = of_groups(source, key, "", source.shown, columns, reasons, legend, with_any=True)
+    found = of_groups(source, key, "", source.shown, columns, reasons, with_any=True)
     if found.rows:
+        titles = [column.title for column in found.columns]
+        lines = tuple(line for start, line in legend.items() if any(title.startswith(start) for title in titles))
+        found = replace(found, legend=(*lines, *found.legend))
         said = plural(len(found.rows), "group")
         yield Section(key_of("more", key), caption, (found,), said, folded=True)
-    elif name != "joints" and (lines := found.legend[len(legend) :]):
-        yield items(*lines)
+    elif name != "joints" and found.legend:
+        yield items(*found.legend)
 
 
 def _distinct(counted: Metric, level: Metric, reasons: Reasons) -> tuple[Column, Written]:
@@ -147,7 +160,7 @@ def types_of(results: Sequence[GroupResult]) -> Iterator[str]:
 
 def _apart(distances: list[Metric]) -> Iterator[tuple[Column, Written]]:
     for metric in distances:
-        yield Column(f"clamped {metric.title} [{metric.unit}]"), _clamped(metric)
+        yield Column(f"{_CLAMPED} {metric.title} [{metric.unit}]"), _clamped(metric)
         if metric is not W1_PARALLEL:
             yield Column(words.EXCHANGED), _floor(metric)
 
