@@ -133,7 +133,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Audit and print; returns the exit code."""
     from gpusimbench.evaluator.audit.audit import audit
     from gpusimbench.evaluator.audit.checking import check_files

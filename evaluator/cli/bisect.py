@@ -103,7 +103,7 @@ def parser() -> Parser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Record what is missing, search and print; returns the exit code."""
     from gpusimbench.evaluator.bisect.bisection import Releases, bisect, bisect_document, dump_json, most
     from gpusimbench.evaluator.bisect.environment import between, releases

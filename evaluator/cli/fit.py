@@ -83,7 +83,7 @@ def parser() -> Parser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Search, judge and print; returns the exit code."""
     from gpusimbench.evaluator.fit.document import dump_json, fit_document
     from gpusimbench.evaluator.fit.fitting import Asked, fit

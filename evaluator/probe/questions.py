@@ -21,6 +21,7 @@ from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding, first_of
 from gpusimbench.evaluator.probe.pairs import Found, Pairs, held
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
+from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.text import bound, plural
 from gpusimbench.schemas.treatment import KINDS, Initial, Intervention
 
@@ -127,6 +128,20 @@ class Question:
 def probed(recordings: Sequence[Recording]) -> tuple[Probed, ...]:
     """The answers of each configuration among some recordings."""
     return tuple(Probed(arms, answers(arms)) for arms in arms_of(recordings))
+
+
+def why_nothing_asked(recordings: Sequence[Recording]) -> str:
+    """Why recordings answer no question."""
+    if any(field.group == ENV for recording in recordings for field in recording.fields):
+        return (
+            "of recordings of tasks, gsb-probe asks only whether runs repeat, and no two of these recordings have the "
+            "same configuration; gsb-diff A B compares the environments that two recordings have in common, "
+            "gsb-episodes compares success rates"
+        )
+    failed = [recording for recording in recordings if recording.status not in ("complete", "incomplete")]
+    if recordings and len(failed) == len(recordings):
+        return f"no run ended well: {failed[0].path} is {failed[0].status}: {failed[0].reason}"
+    return "nothing to compare: gsb-probe needs runs of one configuration, or recordings that differ in one thing alone"
 
 
 def answers(arms: Arms) -> list[Finding]:

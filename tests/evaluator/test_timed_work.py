@@ -18,7 +18,8 @@ from gpusimbench.evaluator.check.rules.rule import Level, Scope, load_rules
 from gpusimbench.evaluator.cli.compare import main as compare
 from gpusimbench.evaluator.cli.eval import main as evaluate
 from gpusimbench.evaluator.cli.share import main as share
-from gpusimbench.evaluator.render.table_files import Format, table_files
+from gpusimbench.evaluator.render.formats import Format
+from gpusimbench.evaluator.render.table_files import table_files
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.document import render_html, report
 from gpusimbench.evaluator.report.json import to_json

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, verified
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
 from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser, say
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.commands.progress import stage
@@ -121,11 +121,12 @@ def parser() -> Parser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Replay, compare and print; returns the exit code."""
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.replays.comparison import compare, successes_of
     from gpusimbench.evaluator.replays.document import dump_json, replay_document
+    from gpusimbench.evaluator.runs.validation import verified
     from gpusimbench.recorder.demonstrations.formats import data_set_at
     from gpusimbench.replay.dataset import converted
     from gpusimbench.replay.parts import infos_of
@@ -154,6 +155,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _original(file: Place) -> list[Recording]:
+    from gpusimbench.evaluator.runs.validation import verified
+
     try:
         return verified([file])
     except NotARecording as error:
