@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gpusimbench import open_recording, verify
 from gpusimbench.evaluator.episodes.success import At
-from gpusimbench.evaluator.replays.comparison import Compared, compare
+from gpusimbench.evaluator.replays.comparison import ReplayComparison, compare
 from gpusimbench.recorder.demonstrations.formats import data_set_at
 from gpusimbench.recorder.vector.making import registered
 from gpusimbench.recorder.vector.open_loop import replay
@@ -16,7 +16,7 @@ from gpusimbench.replay.origin import given, origin_of
 from gpusimbench.replay.parts import infos_of, parts_of, seed_of
 
 
-def replayed(file: Path, *changed: str, env: str | None = None) -> Compared:
+def replayed(file: Path, *changed: str, env: str | None = None) -> ReplayComparison:
     """Make a recording of a data set, replay it, and compare; both recordings lie in the working directory.
 
     changed  as of --set
@@ -28,7 +28,7 @@ def replayed(file: Path, *changed: str, env: str | None = None) -> Compared:
     return replayed_recording(converted(source, how), Path("replay.mcap"), *changed, env=env)
 
 
-def replayed_recording(file: Path, path: Path, *changed: str, env: str | None = None) -> Compared:
+def replayed_recording(file: Path, path: Path, *changed: str, env: str | None = None) -> ReplayComparison:
     """The same of a recording; the replay is written to a path."""
     original = open_recording(file)
     verify(original)

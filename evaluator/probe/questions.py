@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gpusimbench.evaluator.metrics.levels import Level
+from gpusimbench.evaluator.metrics.levels import EqualityLevel
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import Arms, arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding, first_of, same_slots, told, worst_of
@@ -158,7 +158,7 @@ def _answer(question: Question, arms: Arms, varies: str, unknown: str) -> Findin
     if isinstance(asked, Missing):
         return Finding(question.key, question.title, Answer.NOT_ASKED, reason=asked.reason)
     finding = Finding(question.key, question.title, Answer.YES, *asked)
-    if asked.found.level is Level.BIT_IDENTICAL:
+    if asked.found.level is EqualityLevel.BIT_IDENTICAL:
         return finding
     if question.attributable and varies:
         return replace(finding, answer=Answer.OPEN, reason=varies)
@@ -184,7 +184,7 @@ def _runs(arms: Arms) -> Asked | Missing:
     asked = worst_of(
         found, f"{count} runs of {plural(len(arms.repeated), 'configuration')}, each with others of the same"
     )
-    if isinstance(asked, Missing) or asked.found.level is not Level.BIT_IDENTICAL:
+    if isinstance(asked, Missing) or asked.found.level is not EqualityLevel.BIT_IDENTICAL:
         return asked
     agreed = sum(not isinstance(one, Missing) for one in found)
     below = upper_bound_of_none(agreed)
@@ -267,7 +267,7 @@ def _captured(arms: Arms) -> Asked | Missing:
         differ = captured.hashes[at_a] != timed.hashes[at_b]
         apart = np.flatnonzero(differ.any(axis=1))
         first = int(steps[apart[0]]) if apart.size else None
-        level = Level.BIT_IDENTICAL if first is None else Level.DIFFERENT
+        level = EqualityLevel.BIT_IDENTICAL if first is None else EqualityLevel.DIFFERENT
         files = (run.path, run.path)
         found = Found(
             level, run.configuration.n_env, int(differ.any(axis=0).sum()), len(steps), first, None, 0, 0.0, 0, (), "m",

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.metrics.levels import Level
+from gpusimbench.evaluator.metrics.levels import EqualityLevel
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
@@ -170,7 +170,7 @@ def test_one_thing_planted(tmp_path: Path, index: int, env: int, step: int, also
     assert asked.answer is Answer.NO
     assert {finding.answer for key, finding in found.items() if key != also} <= others
     assert asked.found is not None
-    assert asked.found.level is Level.WITHIN_ULP
+    assert asked.found.level is EqualityLevel.WITHIN_ULP
     assert asked.found.first_step == step
     first = asked.found.first
     assert first is not None
@@ -205,7 +205,7 @@ def test_far_apart(tmp_path: Path) -> None:
     asked = _probe(tmp_path, {TREATED["excursion"]: fly})["restored"]
     assert asked.answer is Answer.NO
     assert asked.found is not None
-    assert asked.found.level is Level.DIFFERENT
+    assert asked.found.level is EqualityLevel.DIFFERENT
     assert (asked.found.first_step, asked.found.at_step, asked.found.unit) == (12, 20, "m")
     assert asked.found.max_distance == pytest.approx(0.15)
     assert "15 cm apart at step 20" in evidence(asked)
@@ -222,7 +222,7 @@ def test_not_finite(tmp_path: Path) -> None:
     found = {finding.key: finding for finding in answers(one)}["runs"]
     assert found.answer is Answer.NO
     assert found.found is not None
-    assert found.found.level is Level.DIFFERENT
+    assert found.found.level is EqualityLevel.DIFFERENT
 
 
 def test_switches_that_follow_the_number(tmp_path: Path) -> None:
@@ -461,7 +461,7 @@ def test_probes_on_a_gpu(evaluated: Evaluation) -> None:
         assert {key for key, f in answered.items() if f.answer is Answer.NO} - {"set"} == {"number"}
         fresh = answered["fresh"].found
         assert fresh is not None
-        assert (fresh.level, fresh.steps, fresh.curve) == (Level.BIT_IDENTICAL, 200, ())
+        assert (fresh.level, fresh.steps, fresh.curve) == (EqualityLevel.BIT_IDENTICAL, 200, ())
         number = answered["number"].found
         assert number is not None and number.first is not None and number.first_step is not None
         assert number.first_step < number.first.step == 150

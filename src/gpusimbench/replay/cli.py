@@ -16,7 +16,7 @@ from gpusimbench.schemas.location import Place, place
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.read.recording import Recording
-    from gpusimbench.evaluator.replays.comparison import Compared
+    from gpusimbench.evaluator.replays.comparison import ReplayComparison
 
 _REQUIRED = ("bit-identical", "same-outcome")
 _READ = (
@@ -215,10 +215,10 @@ def _check_out(path: Path | None) -> None:
         raise UsageError(f"--out takes the file to write; {path} is in no folder that exists ({path.parent})")
 
 
-def _exit_code(found: Compared, required: str) -> ExitCode:
-    from gpusimbench.evaluator.replays.verdict import Verdict
+def _exit_code(found: ReplayComparison, required: str) -> ExitCode:
+    from gpusimbench.evaluator.replays.verdict import EpisodeVerdict
 
-    allowed = [Verdict.IDENTICAL, *([Verdict.SAME] if required == _REQUIRED[1] else [])]
+    allowed = [EpisodeVerdict.IDENTICAL, *([EpisodeVerdict.SAME] if required == _REQUIRED[1] else [])]
     met = all(one.verdict in allowed for one in found.episodes)
     return ExitCode.OK if met else ExitCode.GATE_FAILED
 
