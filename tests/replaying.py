@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
 from pathlib import Path
 
 from gpusimbench import open_recording, verify
@@ -24,8 +23,7 @@ def replayed(file: Path, *changed: str, env: str | None = None) -> ReplayCompari
     """
     source = data_set_at(file)
     assert source is not None
-    how = Namespace(against=None, make=None, episodes=None, env=env, keywords=list(changed))
-    return replayed_recording(converted(source, how), Path("replay.mcap"), *changed, env=env)
+    return replayed_recording(converted(source, env, given(changed)), Path("replay.mcap"), *changed, env=env)
 
 
 def replayed_recording(file: Path, path: Path, *changed: str, env: str | None = None) -> ReplayComparison:
