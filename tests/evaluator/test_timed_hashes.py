@@ -13,8 +13,8 @@ from gpusimbench.evaluator.audit.matching import compared, distinct, match_of
 from gpusimbench.evaluator.audit.verdict import AuditLevel, AuditVerdict, ladder
 from gpusimbench.evaluator.cli.diff import main
 from gpusimbench.evaluator.diff.compare import compare
-from gpusimbench.evaluator.diff.result import DiffVerdict as Found
 from gpusimbench.evaluator.diff.result import Difference, StepRange
+from gpusimbench.evaluator.diff.result import DiffVerdict as Found
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.messages import message_class
