@@ -133,10 +133,12 @@ def audit(group: Group[Recording], plan: ReplayPlan, *, max_ulps: int, say: Call
     if not found:
         reasons = dict.fromkeys(f"{replay.status}: {replay.reason}" for replay in done.failed)
         return Audit(originals, replays, why_not="; ".join(reasons) or "no replay was made")
-    return held(originals, replays, found, max_ulps=max_ulps)
+    return judge_replays(originals, replays, found, max_ulps=max_ulps)
 
 
-def held(originals: tuple[Recording, ...], replays: Replays, found: tuple[Recording, ...], *, max_ulps: int) -> Audit:
+def judge_replays(
+    originals: tuple[Recording, ...], replays: Replays, found: tuple[Recording, ...], *, max_ulps: int
+) -> Audit:
     """What replays wrote, held against all originals; of the replays, one that differs is shown, where there is one.
 
     max_ulps  see `audit`

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path
 from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
-from gpusimbench.schemas.commands.folder_lock import held
+from gpusimbench.schemas.commands.folder_lock import folder_lock
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import place
@@ -204,7 +204,7 @@ def _recorded(arguments: argparse.Namespace) -> tuple[list[Place], list[str]]:
 
     plans = _plans(arguments)
     folder = ProbeFolder(arguments.out, partial(complain, "gsb-probe"))
-    with held(arguments.out, "gsb-probe", "records a probe"):
+    with folder_lock(arguments.out, "gsb-probe", "records a probe"):
         files = folder.record(plans)
     return files, folder.problems
 

@@ -90,7 +90,7 @@ class Found:
     files: tuple[Place, Place]
 
 
-def held(pairs: Pairs) -> Found | Missing:
+def compare_pairs(pairs: Pairs) -> Found | Missing:
     """Hold each pair against each other; Missing where the recordings cannot be compared by bits."""
     if why := _incomparable(pairs):
         return Missing(why)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.audit.audit import Audit, Outcome, held
+from gpusimbench.evaluator.audit.audit import Audit, Outcome, judge_replays
 from gpusimbench.evaluator.audit.checking import Check
 from gpusimbench.evaluator.audit.distribution import LawTest, Unit
 from gpusimbench.evaluator.audit.matching import DifferingSettings, sorted_out
@@ -142,7 +142,7 @@ def test_a_replay_that_differs_is_the_one_shown(five: list[Recording]) -> None:
     """Show what differs, whichever of the replays it is, and the sameness where all are the same."""
     same, other = five[1], five[4]
     for found, alike in (((same, other), False), ((other, same), False), ((same, five[2]), True)):
-        audit = held((five[0],), made(list(found)), found, max_ulps=4)
+        audit = judge_replays((five[0],), made(list(found)), found, max_ulps=4)
         assert audit.difference is not None
         assert audit.difference.bit_identical is alike
         assert audit.distinct == ((1, 1, 1) if alike else (1, 2, 2))
@@ -155,7 +155,7 @@ def test_an_original_that_did_not_come_out_again(five: list[Recording]) -> None:
         ((five[0], five[4]), [None] * 4, "Re-execution gives the same bits as far as compared; not everything was"),
         ((five[4],), [False, False, False, None], "Re-execution gives other bits; undecided whether of the same"),
     ):
-        audit = held(originals, made(five[1:2]), (five[1],), max_ulps=4)
+        audit = judge_replays(originals, made(five[1:2]), (five[1],), max_ulps=4)
         assert audit.verdict is not None
         assert [rung.holds for rung in audit.verdict.rungs] == rungs
         assert lines(audit)[0].startswith(said)
@@ -261,7 +261,7 @@ def test_the_test_of_one_law_in_words(law: LawTest, expected: str) -> None:
 def test_missing_runs_have_a_price(five: list[Recording]) -> None:
     """Say how long the runs would take that the test asks for, from the time that the replays took."""
     replays = replace(made([five[4]] * 2), seconds=128.0)
-    verdict = held((five[0],), replays, (five[4], five[4]), max_ulps=4).verdict
+    verdict = judge_replays((five[0],), replays, (five[4], five[4]), max_ulps=4).verdict
     assert verdict is not None and verdict.level is None
     assert verdict.rungs[-1].said.endswith("give --runs 19 (about 20 min 16 s on this machine)")
 

@@ -15,7 +15,7 @@ from gpusimbench.evaluator.compare.finding import Change, Counted, Finding
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Document, facts
 from gpusimbench.evaluator.render.terminal import print_document
-from gpusimbench.evaluator.report.sections.mechanics import blocks, fidelity_record, held
+from gpusimbench.evaluator.report.sections.mechanics import blocks, checks_held, fidelity_record
 from gpusimbench.evaluator.results.fidelity import CheckVerdict, Fidelity, fidelity
 from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts, measured
 
@@ -28,7 +28,7 @@ def printed(found: Fidelity) -> str:
         fidelity=found,
         group=SimpleNamespace(key=SimpleNamespace(simulator="x", scene="s", device="d", determinism="default")),
     )
-    print_document(Document("", (facts(("checks held", held(result))), *blocks(result, "mechanics-of"))), stream)
+    print_document(Document("", (facts(("checks held", checks_held(result))), *blocks(result, "mechanics-of"))), stream)
     return stream.getvalue()
 
 

@@ -19,7 +19,7 @@ from gpusimbench.evaluator.metrics.levels import EqualityLevel
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
-from gpusimbench.evaluator.probe.pairs import Pairs, held
+from gpusimbench.evaluator.probe.pairs import Pairs, compare_pairs
 from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of, interleaved
 from gpusimbench.evaluator.probe.questions import QUESTIONS, answers
 from gpusimbench.evaluator.probe.questions import probed as judged
@@ -33,7 +33,7 @@ from gpusimbench.evaluator.report.sections.probed import depends, evidence
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.schemas.commands.folder_lock import held as held_by
+from gpusimbench.schemas.commands.folder_lock import folder_lock as held_by
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
@@ -276,10 +276,10 @@ def test_what_cannot_be_compared(tmp_path: Path) -> None:
     other = Recording(place(str(write_recording(tmp_path, grid(4, "float64"), steps=30, dt=0.01))))
     coarse = Recording(place(str(write_recording(tmp_path, grid(4, "float32"), steps=30, dt=0.02))))
     for there, why in ((other, "other state fields"), (coarse, "other time steps")):
-        found = held(Pairs(one, there, ((0, 0),)))
+        found = compare_pairs(Pairs(one, there, ((0, 0),)))
         assert isinstance(found, Missing)
         assert why in found.reason
-    apart = held(Pairs(one, one, ((0, 0),), ahead=1000))
+    apart = compare_pairs(Pairs(one, one, ((0, 0),), ahead=1000))
     assert isinstance(apart, Missing)
 
 

@@ -116,7 +116,7 @@ def section(source: Source) -> Section | Missing | None:
     if broken:
         said = f"{len(broken)} of {plural(len(checked), 'group')} {'breaks' if len(broken) == 1 else 'break'} a check"
     columns: list[tuple[Column, Written]] = [
-        (Column("checks held", f"by the tolerances of {NEWEST.value}"), held),
+        (Column("checks held", f"by the tolerances of {NEWEST.value}"), checks_held),
         (Column("broken"), _broken),
     ]
     every = of_groups(
@@ -126,7 +126,7 @@ def section(source: Source) -> Section | Missing | None:
     return Section("mechanics", "Mechanics", (every,), said, folded=True)
 
 
-def held(result: GroupResult) -> Cell:
+def checks_held(result: GroupResult) -> Cell:
     """How many checks of a group hold, of those that could be made, and how many of all could not be made."""
     found = result.fidelity
     if found.checks_missing:
