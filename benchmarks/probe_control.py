@@ -110,7 +110,7 @@ def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
 
     A run that continues a snapshot also has the file with the snapshot, `saved`; it waits until there is such a file.
     """
-    from gpusimbench.evaluator.cli.probe import differing
+    from gpusimbench.evaluator.probe.record import differing
     from gpusimbench.evaluator.read.recording import Recording
     from gpusimbench.recorder.command.arguments import parser
     from gpusimbench.recorder.command.command import configure

@@ -18,7 +18,7 @@ from run_names import name_of_run
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.diff.compare import compare
-from gpusimbench.evaluator.diff.result import Difference, Verdict
+from gpusimbench.evaluator.diff.result import Difference, DiffVerdict
 from gpusimbench.evaluator.read.recording import Recording
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -68,7 +68,7 @@ def gathered(files: Iterable[Path]) -> dict[Kind, dict[str, list[Recording]]]:
 
 def said(found: Difference) -> str:
     """Over how many steps two runs have the same bits, or from which step on they differ."""
-    if found.verdict is Verdict.IDENTICAL:
+    if found.verdict is DiffVerdict.IDENTICAL:
         steps = found.compared.hash_steps or found.compared.state_steps
         return f"same bits, {steps.count if steps else 0} steps"
     assert found.first is not None
@@ -79,7 +79,7 @@ def alike(runs: list[Recording]) -> str:
     """Whether the runs on one device repeat each other."""
     if len(runs) == 1:
         return "1 run"
-    different = [one for one in (compare(runs[0], run) for run in runs[1:]) if one.verdict is not Verdict.IDENTICAL]
+    different = [one for one in (compare(runs[0], run) for run in runs[1:]) if one.verdict is not DiffVerdict.IDENTICAL]
     if not different:
         return f"{len(runs)} runs, same bits"
     step = min(one.first.step_a for one in different if one.first is not None)

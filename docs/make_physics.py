@@ -17,7 +17,7 @@ from page_blocks import redraw
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report.sections.mechanics import allowed, number
-from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
+from gpusimbench.evaluator.results.fidelity import CheckVerdict, Fidelity, FidelityRow, fidelity
 from gpusimbench.evaluator.runs.groups import group
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.physics.facts import Check, Revision
@@ -64,7 +64,7 @@ def changed() -> str:
         both = [fidelity("", [physics_of(run, revision=of) for run in one.complete]) for of in Revision]
         for before, after in zip(both[0].rows, both[1].rows, strict=True):
             where = (one.key.simulator, one.key.scene, before.check.title)
-            groups[where] += before.verdict is not Verdict.NOT_APPLICABLE
+            groups[where] += before.verdict is not CheckVerdict.NOT_APPLICABLE
             if before.verdict is not after.verdict:
                 became.setdefault((*where, before.verdict.value, after.verdict.value), []).append(after)
     lines = [
@@ -110,7 +110,7 @@ def every_step(found: Sequence[tuple[Fidelity, float]], scene: str) -> str:
     lines = [f"| check | allowed | {' | '.join(heads)} |", f"| --- | --- {'| --- ' * len(heads)}|"]
     for check in Check:
         rows = [next((row for row in one.rows if row.check is check), None) for one, _ in chosen]
-        told = [row for row in rows if row is not None and row.verdict is not Verdict.NOT_APPLICABLE]
+        told = [row for row in rows if row is not None and row.verdict is not CheckVerdict.NOT_APPLICABLE]
         if told:
             unit = f" [{check.unit}]" if check.unit else ""
             lines.append(f"| {check.title}{unit} | {allowed(told[0])} | {' | '.join(map(cell, rows))} |")

@@ -11,7 +11,7 @@ from gpusimbench.evaluator.compute.recorder import ProgramRun
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.brief import brief
 from gpusimbench.evaluator.diff.compare import compare
-from gpusimbench.evaluator.diff.result import Difference, Verdict
+from gpusimbench.evaluator.diff.result import Difference, DiffVerdict
 from gpusimbench.evaluator.diff.sections import remarks
 from gpusimbench.evaluator.diff.verdict import verdict_of
 from gpusimbench.evaluator.json_values import document_of, dump, values_of
@@ -29,7 +29,7 @@ _MIB = 1 << 20
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedRun:
     """A recording of the first run beside that of the same name of another run.
 
     name         of the recording within the folder of a run
@@ -55,15 +55,15 @@ class Comparison:
 
     command: tuple[str, ...]
     runs: tuple[ProgramRun, ...]
-    compared: tuple[Compared, ...]
+    compared: tuple[ComparedRun, ...]
     left_out: tuple[str, ...]
     damaged: tuple[str, ...]
 
     @property
-    def verdict(self) -> Verdict | None:
+    def verdict(self) -> DiffVerdict | None:
         """What all comparisons come to; None where there is none."""
         found = [one.difference.verdict for one in self.compared if one.difference]
-        order = list(Verdict)
+        order = list(DiffVerdict)
         return order[max(map(order.index, found))] if found else None
 
     @property
@@ -102,7 +102,7 @@ def compare_runs(command: Sequence[str], runs: Sequence[ProgramRun]) -> Comparis
         for number in range(1, len(runs))
         if name in found[0] and name in found[number]
     ]
-    compared: list[Compared] = []
+    compared: list[ComparedRun] = []
     first, known = None, ""
     for name, number, a, b in each(pairs, "comparing runs"):
         if known != name:
@@ -133,11 +133,11 @@ def _verified(path: Path, run: int, damaged: list[str]) -> Recording | None:
     return recording
 
 
-def _compared(name: str, number: int, a: Recording, b: Recording) -> Compared:
+def _compared(name: str, number: int, a: Recording, b: Recording) -> ComparedRun:
     try:
-        return Compared(name, number, compare(a, b))
+        return ComparedRun(name, number, compare(a, b))
     except NothingComparable as error:
-        return Compared(name, number, Missing(str(error)))
+        return ComparedRun(name, number, Missing(str(error)))
 
 
 def runs_document(found: Comparison) -> Document:
@@ -162,10 +162,10 @@ def dump_json(found: Comparison) -> str:
     return dump(document_of({"verdict": verdict, "all_compared": found.whole, **values_of(found)}))
 
 
-def _shown(found: Comparison) -> Compared | None:
+def _shown(found: Comparison) -> ComparedRun | None:
     """The pair that is shown at length: the first that differs, else that was not compared in all, else the first."""
 
-    def order(one: Compared) -> tuple[bool, bool]:
+    def order(one: ComparedRun) -> tuple[bool, bool]:
         of = one.difference
         return not (of and of.different), not (of and (of.compared.left_out or of.lost))
 
@@ -177,7 +177,7 @@ def _verdicts(found: Comparison) -> list[Block]:
     if found.verdict is None:
         how = "" if found.failed or any(run.recordings or run.partial for run in found.runs) else _HOW
         return [Text(f"No verdict: the runs have no recordings to compare.{how}", Tone.WARNING)]
-    if found.verdict is Verdict.IDENTICAL:
+    if found.verdict is DiffVerdict.IDENTICAL:
         names = few(list(dict.fromkeys(one.name for one in found.compared)), _NAMES)
         if not found.whole:
             return [Text(f"The {runs} are equal bit for bit as far as compared: {names}.", Tone.WARNING)]

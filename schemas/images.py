@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.schemas.fields import DIMENSIONLESS, StateField, array_field
 from gpusimbench.schemas.fingerprint import ALGORITHM, fingerprint
 
 _WORD = 8
@@ -33,16 +32,10 @@ def image_hashes(frames: NDArray[Any], lead: int = 1) -> NDArray[np.float64]:
     return hashes.astype("<u8").view("<u4").astype(np.float64).reshape(*counted, 2)
 
 
-def image_hash_field(name: str, dtype: Any, shape: tuple[int, ...]) -> StateField:
-    """The field of image_hashes.
+def image_hash_note(dtype: Any, shape: tuple[int, ...]) -> str:
+    """What a field of image_hashes says of its numbers.
 
-    name          of the array in the recording, see schemas.fields.array_field
     dtype, shape  of a frame
     """
-    return array_field(name, "float64", (2,), unit=DIMENSIONLESS, note=image_hash_note(dtype, shape))
-
-
-def image_hash_note(dtype: Any, shape: tuple[int, ...]) -> str:
-    """What the field says of its numbers."""
     size = "x".join(map(str, shape))
     return f"low and high 32 bits of the {ALGORITHM} hash of each image, {dtype} {size}, which is not recorded itself"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
 from pathlib import Path
 
 from gpusimbench import open_recording, verify
 from gpusimbench.evaluator.episodes.success import At
-from gpusimbench.evaluator.replays.comparison import Compared, compare
+from gpusimbench.evaluator.replays.comparison import ReplayComparison, compare
 from gpusimbench.recorder.demonstrations.formats import data_set_at
 from gpusimbench.recorder.vector.making import registered
 from gpusimbench.recorder.vector.open_loop import replay
@@ -16,7 +15,7 @@ from gpusimbench.replay.origin import given, origin_of
 from gpusimbench.replay.parts import infos_of, parts_of, seed_of
 
 
-def replayed(file: Path, *changed: str, env: str | None = None) -> Compared:
+def replayed(file: Path, *changed: str, env: str | None = None) -> ReplayComparison:
     """Make a recording of a data set, replay it, and compare; both recordings lie in the working directory.
 
     changed  as of --set
@@ -24,11 +23,10 @@ def replayed(file: Path, *changed: str, env: str | None = None) -> Compared:
     """
     source = data_set_at(file)
     assert source is not None
-    how = Namespace(against=None, make=None, episodes=None, env=env, keywords=list(changed))
-    return replayed_recording(converted(source, how), Path("replay.mcap"), *changed, env=env)
+    return replayed_recording(converted(source, env, given(changed)), Path("replay.mcap"), *changed, env=env)
 
 
-def replayed_recording(file: Path, path: Path, *changed: str, env: str | None = None) -> Compared:
+def replayed_recording(file: Path, path: Path, *changed: str, env: str | None = None) -> ReplayComparison:
     """The same of a recording; the replay is written to a path."""
     original = open_recording(file)
     verify(original)

@@ -16,7 +16,7 @@ from gpusimbench.evaluator.read.episodes import Episode, episodes
 from gpusimbench.evaluator.replays.comparison import compare
 from gpusimbench.evaluator.replays.document import verdict as sentence
 from gpusimbench.evaluator.replays.document import warnings
-from gpusimbench.evaluator.replays.verdict import Verdict, judge
+from gpusimbench.evaluator.replays.verdict import EpisodeVerdict, judge
 from gpusimbench.evaluator.statistics.cases import wilson
 from gpusimbench.recorder.vector.open_loop import replay
 from gpusimbench.recorder.vector.part import Part
@@ -121,7 +121,7 @@ def test_modes(mode: str, again: str, tmp_path: Path) -> None:
     replay(walks(3, 4, again), tmp_path / "b.mcap", parts, seed=seed, dt=original.configuration.dt)
     there = {(one.env, one.number): one for one in episodes(open_recording(tmp_path / "b.mcap"))}
     found = [judge(one, there.get((one.env, one.number)), None, 0.0) for one in episodes(original)]
-    assert len(found) > 3 * _STEPS / 5 and {one.verdict for one in found} == {Verdict.IDENTICAL}
+    assert len(found) > 3 * _STEPS / 5 and {one.verdict for one in found} == {EpisodeVerdict.IDENTICAL}
     assert open_recording(tmp_path / "b.mcap").status == "complete"
 
 
@@ -140,11 +140,11 @@ def test_episodes_that_their_user_cut(tmp_path: Path) -> None:
     there = {(one.env, one.number): one for one in episodes(open_recording(tmp_path / "b.mcap"))}
     found = [judge(one, there.get((one.env, one.number)), None, 0.0) for one in episodes(original)]
     assert sum(one.ends[0] == "cut" for one in found) > 5
-    assert {one.verdict for one in found} == {Verdict.IDENTICAL}
+    assert {one.verdict for one in found} == {EpisodeVerdict.IDENTICAL}
     replay(walks(3, 9, "NextStep"), tmp_path / "c.mcap", parts_of(original), seed=1, dt=0.1)  # which nobody can cut
     there = {(one.env, one.number): one for one in episodes(open_recording(tmp_path / "c.mcap"))}
     lost = [judge(one, there.get((one.env, one.number)), None, 0.0).verdict for one in episodes(original)]
-    assert Verdict.ABSENT in lost and lost[0] is Verdict.IDENTICAL
+    assert EpisodeVerdict.ABSENT in lost and lost[0] is EpisodeVerdict.IDENTICAL
 
 
 def test_another_seed_is_named(tmp_path: Path) -> None:
@@ -273,24 +273,24 @@ def test_what_counts_as_the_same_outcome() -> None:
     """Compare return up to the tolerance, length, end and success; name the step at which the outcome leaves."""
     one = episode([1.0, -1.0, 2.0])  # absolute rewards sum to 4
     cases = {
-        (1.0, -1.0, 2.0): (Verdict.IDENTICAL, None),
-        (1.0, -1.0, 2.04): (Verdict.SAME, None),
-        (1.0, -1.0, 2.05): (Verdict.OTHER, 3),
-        (1.5, -1.0, 2.05): (Verdict.OTHER, 1),
-        (1.0, -1.0): (Verdict.OTHER, 2),
-        (1.0, -1.0, 2.0, 0.0): (Verdict.OTHER, 3),
+        (1.0, -1.0, 2.0): (EpisodeVerdict.IDENTICAL, None),
+        (1.0, -1.0, 2.04): (EpisodeVerdict.SAME, None),
+        (1.0, -1.0, 2.05): (EpisodeVerdict.OTHER, 3),
+        (1.5, -1.0, 2.05): (EpisodeVerdict.OTHER, 1),
+        (1.0, -1.0): (EpisodeVerdict.OTHER, 2),
+        (1.0, -1.0, 2.0, 0.0): (EpisodeVerdict.OTHER, 3),
     }
     for rewards, (verdict, left_at) in cases.items():
         found = judge(one, episode(rewards), None, 0.0101)
         assert (found.verdict, found.left_at) == (verdict, left_at), rewards
     assert judge(one, episode(one.rewards, terminated=False), None, 1.0).left_at == 3
-    assert judge(one, episode(one.rewards), (True, False), 1.0).verdict is Verdict.OTHER
-    assert judge(one, episode(one.rewards, seen=1e-9), (True, True), 0.0).verdict is Verdict.SAME
-    assert judge(one, episode(one.rewards, seen=np.nan), None, 0.0).verdict is Verdict.SAME
-    assert judge(one, None, None, 1.0).verdict is Verdict.ABSENT
+    assert judge(one, episode(one.rewards), (True, False), 1.0).verdict is EpisodeVerdict.OTHER
+    assert judge(one, episode(one.rewards, seen=1e-9), (True, True), 0.0).verdict is EpisodeVerdict.SAME
+    assert judge(one, episode(one.rewards, seen=np.nan), None, 0.0).verdict is EpisodeVerdict.SAME
+    assert judge(one, None, None, 1.0).verdict is EpisodeVerdict.ABSENT
     cut = episode([1.0, -1.0], terminated=False)  # by the end of the recording: its steps alone count
-    assert judge(cut, episode([1.0, -1.0, 2.0]), None, 0.0).verdict is Verdict.IDENTICAL
-    assert judge(cut, episode([1.0]), None, 0.0).verdict is Verdict.OTHER
+    assert judge(cut, episode([1.0, -1.0, 2.0]), None, 0.0).verdict is EpisodeVerdict.IDENTICAL
+    assert judge(cut, episode([1.0]), None, 0.0).verdict is EpisodeVerdict.OTHER
 
 
 class _Late(gymnasium.Env[Any, Any]):
@@ -323,7 +323,7 @@ def test_of_an_episode_that_was_cut_the_recorded_steps_alone_count(tmp_path: Pat
         envs.close()
     original, longer = (open_recording(tmp_path / f"{name}.mcap") for name in "ab")
     found = compare(original, longer, success="success", at=at, tolerance=0.0)
-    assert {one.verdict for one in found.episodes} == {Verdict.IDENTICAL}
+    assert {one.verdict for one in found.episodes} == {EpisodeVerdict.IDENTICAL}
     assert sentence(found) == "All 2 episodes, as far as recorded, replay bit for bit."
     assert "2 episodes of the original have no end" in " ".join(warnings(found))
     found = compare(longer, longer, success="success", at=at, tolerance=0.0)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from gpusimbench.evaluator.audit.distribution import LawTest, same_law
 from gpusimbench.evaluator.audit.matching import (
-    Settings,
+    DifferingSettings,
     closest,
     compared,
     distinct,
@@ -20,7 +20,7 @@ from gpusimbench.evaluator.audit.matching import (
     unreproduced,
 )
 from gpusimbench.evaluator.audit.replaying import ReplayPlan, Replays, make_replays
-from gpusimbench.evaluator.audit.verdict import Level, Verdict, ladder
+from gpusimbench.evaluator.audit.verdict import AuditLevel, AuditVerdict, ladder
 from gpusimbench.evaluator.compute.recorder import Made
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference
@@ -66,9 +66,9 @@ class Audit:
     replays: Replays | None = None
     recordings: tuple[Recording, ...] = ()
     difference: Difference | None = None
-    settings: Settings = Settings()
+    settings: DifferingSettings = DifferingSettings()
     distinct: tuple[int, int, int] | None = None
-    verdict: Verdict | None = None
+    verdict: AuditVerdict | None = None
     why_not: str = ""
 
     @property
@@ -88,10 +88,10 @@ class Audit:
         return Outcome.MADE if self.recordings else Outcome.FAILED
 
     @property
-    def level(self) -> Level | None:
+    def level(self) -> AuditLevel | None:
         """The verdict's level; a replay that is invalid where the original is not makes it `different`."""
         if self.invalid:
-            return Level.DIFFERENT
+            return AuditLevel.DIFFERENT
         return self.verdict.level if self.verdict else None
 
     @property
@@ -99,7 +99,7 @@ class Audit:
         """Whether a replay tripped a validity gate that the original did not."""
         return any(replay.status == "invalid" for replay in self.failed)
 
-    def meets(self, required: Level) -> bool | None:
+    def meets(self, required: AuditLevel) -> bool | None:
         """Whether the required level holds, or a stronger one; None where that could not be decided."""
         if self.invalid:
             return False
@@ -133,10 +133,12 @@ def audit(group: Group[Recording], plan: ReplayPlan, *, max_ulps: int, say: Call
     if not found:
         reasons = dict.fromkeys(f"{replay.status}: {replay.reason}" for replay in done.failed)
         return Audit(originals, replays, why_not="; ".join(reasons) or "no replay was made")
-    return held(originals, replays, found, max_ulps=max_ulps)
+    return judge_replays(originals, replays, found, max_ulps=max_ulps)
 
 
-def held(originals: tuple[Recording, ...], replays: Replays, found: tuple[Recording, ...], *, max_ulps: int) -> Audit:
+def judge_replays(
+    originals: tuple[Recording, ...], replays: Replays, found: tuple[Recording, ...], *, max_ulps: int
+) -> Audit:
     """What replays wrote, held against all originals; of the replays, one that differs is shown, where there is one.
 
     max_ulps  see `audit`

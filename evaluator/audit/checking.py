@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.rules.findings import Unchecked, check
-from gpusimbench.evaluator.check.rules.rule import Level, load_rules
+from gpusimbench.evaluator.check.rules.rule import Severity, load_rules
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.location import Place
@@ -36,7 +36,7 @@ def check_files(paths: Sequence[Place]) -> Check:
     wanted = list(dict.fromkeys(paths))
     files = [examine(path) for path in each(wanted, "checking recordings", sizes(wanted))]
     report = check(files, [load_rules(RULES)])
-    errors = [finding for finding in report.findings if finding.rule.level is Level.error]
+    errors = [finding for finding in report.findings if finding.rule.level is Severity.error]
     found = [(path, f"{f.rule.id}: {f.found}") for f in errors if f.rule.damage for path in f.files]
     said = {path for path, _ in found}
     found += [(f.path, f.not_opened) for f in files if f.recording is None and f.path not in said]
@@ -46,7 +46,7 @@ def check_files(paths: Sequence[Place]) -> Check:
     good, copies = _without_copies(whole)
     kept = {recording.path for recording in good}
     broken = [(path, f"{f.rule.id}: {f.found}") for f in errors for path in f.files if path in kept]
-    warned = [f for f in report.findings if f.rule.level is Level.warning]
+    warned = [f for f in report.findings if f.rule.level is Severity.warning]
     warnings = [(path, f"{f.rule.id}: {f.found}") for f in warned for path in f.files if path in kept]
     return Check(good, damaged, _by_file(broken), _by_file([*copies, *warnings]))
 
@@ -55,7 +55,7 @@ def _unasked(unchecked: Sequence[Unchecked], damaged: Set[Place]) -> list[tuple[
     # of files that nothing else is known of, rules by what keeps them from being asked
     rules: dict[tuple[Place, str], list[str]] = {}
     for u in unchecked:
-        if u.rule.level is Level.error and u.file not in damaged:
+        if u.rule.level is Severity.error and u.file not in damaged:
             rules.setdefault((u.file, u.reason), []).append(u.rule.id)
     return [(path, f"{', '.join(ids)} cannot be checked: {reason}") for (path, reason), ids in rules.items()]
 

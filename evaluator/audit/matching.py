@@ -130,7 +130,7 @@ def unreproduced(originals: Sequence[Recording], replays: Sequence[Recording]) -
 
 
 @dataclass(frozen=True)
-class Settings:
+class DifferingSettings:
     """Differing settings.
 
     deciding  those that can explain other numbers
@@ -141,7 +141,7 @@ class Settings:
     packages: int = 0
 
 
-def sorted_out(differing: tuple[Setting, ...], original: Recording, replay: Recording) -> Settings:
+def sorted_out(differing: tuple[Setting, ...], original: Recording, replay: Recording) -> DifferingSettings:
     """Of all that differs between two recordings, what can explain other numbers."""
     others = [setting for setting in differing if is_other_package(setting, original, replay)]
-    return Settings(tuple(s for s in differing if s not in others and s.name not in _FREE), len(others))
+    return DifferingSettings(tuple(s for s in differing if s not in others and s.name not in _FREE), len(others))

@@ -7,7 +7,7 @@ from typing import Any
 
 from gpusimbench.evaluator.audit.audit import Audit, Outcome
 from gpusimbench.evaluator.audit.checking import RULES, Check
-from gpusimbench.evaluator.audit.verdict import Level, Rung
+from gpusimbench.evaluator.audit.verdict import AuditLevel, Rung
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Difference, Divergence
 from gpusimbench.evaluator.diff.verdict import apart, equal_before, gap_before, place_of
@@ -36,11 +36,11 @@ from gpusimbench.schemas.text import cut, few, first, plural
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
 
 _GIVES = {
-    Level.BIT_IDENTICAL: ("Re-execution gives the same bits", Tone.GOOD),
-    Level.SAME_UP_TO_ENV_ORDER: ("Re-execution gives the same bits, in environments of another order", Tone.GOOD),
-    Level.WITHIN_ULPS: ("Re-execution gives other bits, no number further apart than the allowed ULPs", Tone.GOOD),
-    Level.SAME_DISTRIBUTION: ("Re-execution gives other bits; no difference in distribution is found", Tone.GOOD),
-    Level.DIFFERENT: ("Re-execution gives another distribution", Tone.BAD),
+    AuditLevel.BIT_IDENTICAL: ("Re-execution gives the same bits", Tone.GOOD),
+    AuditLevel.SAME_UP_TO_ENV_ORDER: ("Re-execution gives the same bits, in environments of another order", Tone.GOOD),
+    AuditLevel.WITHIN_ULPS: ("Re-execution gives other bits, no number further apart than the allowed ULPs", Tone.GOOD),
+    AuditLevel.SAME_DISTRIBUTION: ("Re-execution gives other bits; no difference in distribution is found", Tone.GOOD),
+    AuditLevel.DIFFERENT: ("Re-execution gives another distribution", Tone.BAD),
 }
 
 _NO_VERDICT = {
@@ -93,13 +93,13 @@ def _verdict(audit: Audit, checked: Check) -> Text:
 
 def _answer(audit: Audit) -> tuple[str, Tone]:
     if audit.invalid:
-        return f"A replay is invalid, and the recording is not ({Level.DIFFERENT.value})", Tone.BAD
+        return f"A replay is invalid, and the recording is not ({AuditLevel.DIFFERENT.value})", Tone.BAD
     if audit.level is not None:
         gives, tone = _GIVES[audit.level]
         return f"{gives} ({audit.level.value})", tone
     if audit.verdict is None:
         return f"No verdict: {_NO_VERDICT[audit.outcome]}", Tone.WARNING
-    if any(rung.level is Level.BIT_IDENTICAL and rung.holds is False for rung in audit.verdict.rungs):
+    if any(rung.level is AuditLevel.BIT_IDENTICAL and rung.holds is False for rung in audit.verdict.rungs):
         return "Re-execution gives other bits; undecided whether of the same distribution", Tone.WARNING
     return "Re-execution gives the same bits as far as compared; not everything was compared", Tone.WARNING
 
@@ -194,7 +194,7 @@ def _notes(difference: Difference, every: bool) -> list[Block]:
     return [Items(tuple(map(Item, notes)))] if notes else []
 
 
-def dump_json(audits: Sequence[Audit], checked: Check, required: Level) -> str:
+def dump_json(audits: Sequence[Audit], checked: Check, required: AuditLevel) -> str:
     """What ``gsb-audit --json`` writes."""
     document = {
         "require": required,
@@ -211,7 +211,7 @@ def _findings(found: Mapping[Place, tuple[str, ...]]) -> list[dict[str, Any]]:
     return [{"file": path, "findings": sentences} for path, sentences in found.items()]
 
 
-def _audit(audit: Audit, required: Level) -> dict[str, Any]:
+def _audit(audit: Audit, required: AuditLevel) -> dict[str, Any]:
     d, replays = audit.difference, audit.replays
     return {
         "originals": [_recording_record(r) for r in audit.originals],

@@ -11,7 +11,7 @@ from gpusimbench.evaluator.missing import every
 from gpusimbench.schemas.commands.progress import duration
 
 
-class Level(Enum):
+class AuditLevel(Enum):
     """What a replay came to, strongest first. What holds implies all that stand below it, but for `different`."""
 
     BIT_IDENTICAL = "bit-identical"
@@ -20,9 +20,9 @@ class Level(Enum):
     SAME_DISTRIBUTION = "same-distribution"
     DIFFERENT = "different"
 
-    def reaches(self, required: Level) -> bool:
+    def reaches(self, required: AuditLevel) -> bool:
         """Whether this is what is required, or more."""
-        order = list(Level)
+        order = list(AuditLevel)
         return order.index(self) <= order.index(required)
 
 
@@ -52,13 +52,13 @@ class Match:
 class Rung:
     """A level, whether it holds (None: it could not be decided), and why, in a sentence."""
 
-    level: Level
+    level: AuditLevel
     holds: bool | None
     said: str
 
 
 @dataclass(frozen=True)
-class Verdict:
+class AuditVerdict:
     """The ladder.
 
     rungs  strongest level first
@@ -67,10 +67,10 @@ class Verdict:
     """
 
     rungs: tuple[Rung, ...]
-    level: Level | None
+    level: AuditLevel | None
     law: LawTest | str | None
 
-    def meets(self, required: Level) -> bool | None:
+    def meets(self, required: AuditLevel) -> bool | None:
         """Whether the required level holds, or a stronger one; None where that could not be decided."""
         held = [rung.holds for rung in self.rungs if rung.level.reaches(required)]
         if True in held:
@@ -86,7 +86,7 @@ def ladder(
     originals: int,
     compared: str = "every bit",
     each_s: float = 0.0,
-) -> Verdict:
+) -> AuditVerdict:
     """The verdict over all replays: a level holds where it holds for each of them.
 
     test       makes the test of one law, or says why there is none; asked where no stronger level holds
@@ -99,27 +99,27 @@ def ladder(
     reached = next((rung.level for rung in rungs if rung.holds), None)
     if reached is not None:
         follows = f"follows from {reached.value}"
-        below = [level for level in list(Level)[:-1] if reached.reaches(level) and level is not reached]
+        below = [level for level in list(AuditLevel)[:-1] if reached.reaches(level) and level is not reached]
         kept = [rung for rung in rungs if rung.level not in below]
-        return Verdict((*kept, *(Rung(level, True, follows) for level in below)), reached, None)
+        return AuditVerdict((*kept, *(Rung(level, True, follows) for level in below)), reached, None)
     law = test()
     rungs.append(_law(law, originals, each_s))
-    by_law = {True: Level.SAME_DISTRIBUTION, False: Level.DIFFERENT, None: None}
-    return Verdict(tuple(rungs), by_law[rungs[-1].holds], law)
+    by_law = {True: AuditLevel.SAME_DISTRIBUTION, False: AuditLevel.DIFFERENT, None: None}
+    return AuditVerdict(tuple(rungs), by_law[rungs[-1].holds], law)
 
 
 def _bits(matches: Sequence[Match], compared: str) -> Rung:
     same = sum(m.bit_identical for m in matches)
     said = f"{same} of {len(matches)} replays agree with an original in {compared}"
-    return _whole(Rung(Level.BIT_IDENTICAL, every(m.bit_identical for m in matches).holds, said), matches)
+    return _whole(Rung(AuditLevel.BIT_IDENTICAL, every(m.bit_identical for m in matches).holds, said), matches)
 
 
 def _order(matches: Sequence[Match]) -> Rung:
     held = [m.bit_identical or m.same_up_to_env_order for m in matches]
     if (holds := every(held).holds) is None:
-        return Rung(Level.SAME_UP_TO_ENV_ORDER, None, "environments cannot be compared with others")
+        return Rung(AuditLevel.SAME_UP_TO_ENV_ORDER, None, "environments cannot be compared with others")
     said = f"{sum(h is True for h in held)} of {len(matches)} replays have the environments of an original in any order"
-    return _whole(Rung(Level.SAME_UP_TO_ENV_ORDER, holds, said), matches)
+    return _whole(Rung(AuditLevel.SAME_UP_TO_ENV_ORDER, holds, said), matches)
 
 
 def _ulps(matches: Sequence[Match], most: int) -> Rung:
@@ -133,13 +133,13 @@ def _ulps(matches: Sequence[Match], most: int) -> Rung:
     if signs:
         said = f"numbers have opposite signs{over}; {most} ULP are allowed"
     if known and max(known) > most:
-        return Rung(Level.WITHIN_ULPS, False, said)
+        return Rung(AuditLevel.WITHIN_ULPS, False, said)
     unknown = dict.fromkeys(m.no_ulps for m, equal in zip(matches, same, strict=True) if m.no_ulps and not equal)
     if unknown:
-        return Rung(Level.WITHIN_ULPS, None, f"{said}, but others are not known: {'; '.join(unknown)}")
+        return Rung(AuditLevel.WITHIN_ULPS, None, f"{said}, but others are not known: {'; '.join(unknown)}")
     if not found or len(known) < len(found):
-        return Rung(Level.WITHIN_ULPS, None, "numbers cannot be compared in units in the last place")
-    return _whole(Rung(Level.WITHIN_ULPS, True, said), matches)
+        return Rung(AuditLevel.WITHIN_ULPS, None, "numbers cannot be compared in units in the last place")
+    return _whole(Rung(AuditLevel.WITHIN_ULPS, True, said), matches)
 
 
 def _whole(rung: Rung, matches: Sequence[Match]) -> Rung:
@@ -148,14 +148,14 @@ def _whole(rung: Rung, matches: Sequence[Match]) -> Rung:
     if not rung.holds or not left_out:
         return rung
     said = f"{rung.said}; not everything of the original was compared"
-    if rung.level is Level.BIT_IDENTICAL or not all(m.bit_identical for m in matches):
+    if rung.level is AuditLevel.BIT_IDENTICAL or not all(m.bit_identical for m in matches):
         said += f": {'; '.join(left_out)}"  # once: other rungs stand below that one
     return Rung(rung.level, None, said)
 
 
 def _law(law: LawTest | str, originals: int, each_s: float) -> Rung:
     if isinstance(law, str):
-        return Rung(Level.SAME_DISTRIBUTION, None, law)
+        return Rung(AuditLevel.SAME_DISTRIBUTION, None, law)
     floor = f"up to {law.floor_q95_cm:.3g} cm in 95 % if they have one distribution"
     far = f"W1 at {law.time:g} s: {law.observed_cm:.3g} cm ({floor}), p = {law.p_value:.2g}"
     said = f"{far}: {law.originals} original and {law.replays} replayed {law.unit.value} exchanged"
@@ -165,11 +165,11 @@ def _law(law: LawTest | str, originals: int, each_s: float) -> Rung:
         said += "; without power if results depend on the number of an environment: "
         said += f"{_more_runs(originals, each_s)} would exchange runs"
     if law.rejects:
-        return Rung(Level.SAME_DISTRIBUTION, False, said)
+        return Rung(AuditLevel.SAME_DISTRIBUTION, False, said)
     if not law.can_reject:
         few = f"too few to show a difference (p is at least {law.least_p:.2g}): give {_more_runs(originals, each_s)}"
-        return Rung(Level.SAME_DISTRIBUTION, None, f"{said}; {few}")
-    return Rung(Level.SAME_DISTRIBUTION, True, f"{said}; not rejected at {ALPHA:g}")
+        return Rung(AuditLevel.SAME_DISTRIBUTION, None, f"{said}; {few}")
+    return Rung(AuditLevel.SAME_DISTRIBUTION, True, f"{said}; not rejected at {ALPHA:g}")
 
 
 def _more_runs(originals: int, each_s: float) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gpusimbench.evaluator.bisect.environment import NotInstalled, Plan, environment_of
-from gpusimbench.evaluator.bisect.predicates import STATES, Predicate, Verdict, by_states, first_number
+from gpusimbench.evaluator.bisect.predicates import STATES, Predicate, ReleaseVerdict, by_states, first_number
 from gpusimbench.evaluator.compute.recorder import record
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.diff.settings import differing_settings
@@ -106,7 +106,7 @@ class Bisection:
     predicate: str
     options: tuple[str, ...]
     versions: tuple[str, ...]
-    tested: Mapping[str, Verdict]
+    tested: Mapping[str, ReleaseVerdict]
     files: Mapping[str, tuple[str, ...]]
     same: str
     different: str | None
@@ -199,7 +199,7 @@ def bisect(releases: Releases, versions: tuple[str, ...], predicate: Predicate, 
     except Refused as error:
         raise UsageError(str(error)) from None
     releases.say(f"{versions[0]}: recorded, the good one")
-    tested: dict[str, Verdict] = {}
+    tested: dict[str, ReleaseVerdict] = {}
 
     def judge(index: int) -> bool | None:
         version = versions[index]
@@ -208,7 +208,7 @@ def bisect(releases: Releases, versions: tuple[str, ...], predicate: Predicate, 
         except (NotInstalled, NotRecorded) as error:
             if index == len(versions) - 1:
                 raise
-            tested[version] = Verdict(None, str(error))
+            tested[version] = ReleaseVerdict(None, str(error))
         else:
             tested[version] = predicate(files[versions[0]], files[version])
         said = {True: "differs", False: "the same", None: "not judged"}[tested[version].different]
@@ -220,7 +220,7 @@ def bisect(releases: Releases, versions: tuple[str, ...], predicate: Predicate, 
 
 
 def _found(
-    releases: Releases, versions: tuple[str, ...], bounds: Bounds, tested: dict[str, Verdict],
+    releases: Releases, versions: tuple[str, ...], bounds: Bounds, tested: dict[str, ReleaseVerdict],
     files: dict[str, list[Recording]], asked: str,
 ) -> Bisection:  # fmt: skip
     same = versions[bounds.same]
@@ -253,7 +253,7 @@ _SHOWN_PACKAGES, _SETTINGS = 4, 4
 
 def bisect_document(found: Bisection) -> Document:
     """The verdict, a row for each release that was recorded, and what changed with the first that differs."""
-    good = Verdict(False, "the good release")
+    good = ReleaseVerdict(False, "the good release")
     rows = [_row(version, verdict) for version, verdict in {found.versions[0]: good, **found.tested}.items()]
     blocks: list[Block] = [
         Text(verdict_of(found), Tone.PLAIN if found.exact and not found.once else Tone.WARNING),
@@ -286,7 +286,7 @@ def dump_json(found: Bisection) -> str:
     return dump(document_of({"verdict": verdict_of(found), "exact": found.exact, **values_of(found)}))
 
 
-def _row(version: str, verdict: Verdict) -> list[Cell | str]:
+def _row(version: str, verdict: ReleaseVerdict) -> list[Cell | str]:
     word, tone = _WORDS[verdict.different]
     return [version, Cell(word, tone=tone), verdict.evidence]
 

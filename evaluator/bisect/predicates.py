@@ -26,14 +26,14 @@ _LONGEST = 160
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ReleaseVerdict:
     """Whether a release differs from the good one; None where that cannot be told, and what that stands on."""
 
     different: bool | None
     evidence: str
 
 
-Predicate = Callable[[Sequence[Recording], Sequence[Recording]], Verdict]
+Predicate = Callable[[Sequence[Recording], Sequence[Recording]], ReleaseVerdict]
 """Holds a release's recordings against those of the good one, which come first."""
 
 
@@ -53,21 +53,21 @@ def compares(text: str) -> bool:
     return shlex.split(text)[:1] == [GSB_COMPARE]
 
 
-def by_states(good: Sequence[Recording], other: Sequence[Recording]) -> Verdict:
+def by_states(good: Sequence[Recording], other: Sequence[Recording]) -> ReleaseVerdict:
     """Whether any bit of any state differs, run by run; not to be told where runs of the good release differ."""
     if any(by_states(good[:1], [other_run]).different for other_run in good[1:]):
-        return Verdict(None, "runs of the good release differ from each other: use --predicate gsb-compare")
+        return ReleaseVerdict(None, "runs of the good release differ from each other: use --predicate gsb-compare")
     for one, another in zip(good, other, strict=False):
         try:
             found = compare(one, another)
         except NothingComparable as error:
-            return Verdict(None, str(error))
+            return ReleaseVerdict(None, str(error))
         if found.first is not None:
             gap = equal_before(found.first) if gap_before(found.first) else ""
-            return Verdict(True, f"from step {found.first.step_a} on{gap}{_apart(found)}")
+            return ReleaseVerdict(True, f"from step {found.first.step_a} on{gap}{_apart(found)}")
         if not found.bit_identical:
-            return Verdict(None, "their bits cannot be compared")
-    return Verdict(False, "all states are bit-identical")
+            return ReleaseVerdict(None, "their bits cannot be compared")
+    return ReleaseVerdict(False, "all states are bit-identical")
 
 
 def first_number(a: Recording, b: Recording) -> str:
@@ -96,25 +96,25 @@ def _folders(good: Sequence[Recording], other: Sequence[Recording]) -> list[str]
     return [str(Path(str(recordings[0].path)).parent) for recordings in (good, other)]
 
 
-def _by_compare(command: Sequence[str]) -> Verdict:
+def _by_compare(command: Sequence[str]) -> ReleaseVerdict:
     done = _run(command)
     said = _first(done.stdout)
     if done.returncode == ExitCode.NOTHING_COMPARABLE:
-        return Verdict(None, said or _last(done.stderr))
+        return ReleaseVerdict(None, said or _last(done.stderr))
     if done.returncode not in (ExitCode.OK, ExitCode.GATE_FAILED):
         raise GsbError(f"gsb-compare ended with exit code {done.returncode}: {_last(done.stderr)}")
-    return Verdict(done.returncode == ExitCode.GATE_FAILED, said)
+    return ReleaseVerdict(done.returncode == ExitCode.GATE_FAILED, said)
 
 
-def _by_command(command: Sequence[str]) -> Verdict:
+def _by_command(command: Sequence[str]) -> ReleaseVerdict:
     done = _run(command)
     said = _last(done.stdout) or _last(done.stderr)
     code = done.returncode
     if code == _CANNOT_TELL:
-        return Verdict(None, said)
+        return ReleaseVerdict(None, said)
     if code < 0 or code >= _LEAST_OF_SHELLS:
         raise GsbError(f"the predicate '{command[0]}' ended with exit code {code}: {said}")
-    return Verdict(code != 0, said or f"exit code {code}")
+    return ReleaseVerdict(code != 0, said or f"exit code {code}")
 
 
 def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:

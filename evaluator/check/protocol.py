@@ -14,7 +14,7 @@ from functools import cache
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.integrity.problem import Problems
 from gpusimbench.evaluator.check.rules.findings import check, points
-from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Level, RuleSet, Scope, load_rules
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL, RuleSet, Scope, Severity, load_rules
 from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.run import Run
@@ -103,7 +103,7 @@ def _sentences() -> dict[str, str]:
 @cache
 def _rules(scope: Scope) -> RuleSet:
     everything = load_rules(PROTOCOL)
-    return replace(everything, rules=tuple(r for r in everything.rules if r.of is scope and r.level is Level.error))
+    return replace(everything, rules=tuple(r for r in everything.rules if r.of is scope and r.level is Severity.error))
 
 
 def _shell(recording: Described) -> Integrity:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gpusimbench.schemas import PARTIAL
-from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.location import Place, is_address, shown
+from gpusimbench.schemas.location import is_address, shown
 from gpusimbench.schemas.text import show_document
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.compute.cache import Store
-    from gpusimbench.evaluator.read.recording import Recording
 
 
 def local_name(text: str) -> str:
@@ -73,19 +70,6 @@ def write_json(target: str, text: str) -> None:
         show_document(text)
     else:
         write_file(Path(target), text)
-
-
-def verified(files: Sequence[Place]) -> list[Recording]:
-    """Open recordings, each verified to the byte; DamagedRecording for the first that is not whole."""
-    from gpusimbench.evaluator.read.recording import Recording
-    from gpusimbench.evaluator.runs.validation import verify
-
-    found = []
-    for path in each(files, "verifying recordings", sizes(files)):
-        recording = Recording(path)
-        verify(recording)
-        found.append(recording)
-    return found
 
 
 def add_cache(parser: argparse.ArgumentParser) -> None:

@@ -16,7 +16,7 @@ from gpusimbench.schemas.text import line, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.audit.audit import Audit
-    from gpusimbench.evaluator.audit.verdict import Level
+    from gpusimbench.evaluator.audit.verdict import AuditLevel
 
 _LEVELS = ("bit-identical", "same-up-to-env-order", "within-ulps", "same-distribution")
 
@@ -133,13 +133,13 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Audit and print; returns the exit code."""
     from gpusimbench.evaluator.audit.audit import audit
     from gpusimbench.evaluator.audit.checking import check_files
     from gpusimbench.evaluator.audit.replaying import ReplayPlan
     from gpusimbench.evaluator.audit.sections import audit_document, dump_json
-    from gpusimbench.evaluator.audit.verdict import Level
+    from gpusimbench.evaluator.audit.verdict import AuditLevel
     from gpusimbench.evaluator.read.addresses import expand_paths
     from gpusimbench.evaluator.render.terminal import print_document
     from gpusimbench.evaluator.runs.groups import group
@@ -156,7 +156,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         arguments.allow_model,
         arguments.command,
     )
-    required = Level(arguments.require or (_LEVELS[-1] if arguments.command is None else _LEVELS[0]))
+    required = AuditLevel(arguments.require or (_LEVELS[-1] if arguments.command is None else _LEVELS[0]))
     checked = check_files(expand_paths(arguments.files))
     for path, findings in checked.damaged.items():
         complain("gsb-audit", f"{path} is not audited: {'; '.join(findings)}")
@@ -188,7 +188,7 @@ def _check(arguments: argparse.Namespace) -> None:
     check_target(arguments.json)
 
 
-def _exit_code(audits: list[Audit], required: Level) -> ExitCode:
+def _exit_code(audits: list[Audit], required: AuditLevel) -> ExitCode:
     met = [audit.meets(required) for audit in audits]
     if False in met:
         return ExitCode.GATE_FAILED

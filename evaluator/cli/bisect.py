@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target
 from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
-from gpusimbench.schemas.commands.folder_lock import held
+from gpusimbench.schemas.commands.folder_lock import folder_lock
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
 
@@ -103,7 +103,7 @@ def parser() -> Parser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Record what is missing, search and print; returns the exit code."""
     from gpusimbench.evaluator.bisect.bisection import Releases, bisect, bisect_document, dump_json, most
     from gpusimbench.evaluator.bisect.environment import between, releases
@@ -123,7 +123,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     say = partial(complain, "gsb-bisect")
     say(f"{len(versions)} releases from {versions[0]} to {versions[-1]}; at most {most(len(versions))} are recorded")
     made = Releases(package, plan, arguments.out, given, say)
-    with held(arguments.out, "gsb-bisect", "bisects releases"):
+    with folder_lock(arguments.out, "gsb-bisect", "bisects releases"):
         found = bisect(made, versions, predicate_of(arguments.predicate), arguments.predicate)
     answer(arguments.json, lambda: dump_json(found), lambda: bisect_document(found))
     return int(ExitCode.OK if found.exact else ExitCode.NOTHING_COMPARABLE)

@@ -64,7 +64,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Check and print; returns the exit code."""
     from gpusimbench.evaluator.check.rules.findings import check
     from gpusimbench.evaluator.check.rules.rule import PROTOCOL, SHIPPED, load_rules

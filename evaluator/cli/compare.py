@@ -170,17 +170,17 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Compare and print; returns the exit code."""
     settings = _settings(arguments)
     for target in (arguments.json, arguments.markdown, arguments.junit, arguments.html):
         check_target(str(target) if target else None)
     if arguments.history:
-        return _run_history(arguments, settings, command)
-    return _run_sets(arguments, settings, command)
+        return _run_history(arguments, settings)
+    return _run_sets(arguments, settings)
 
 
-def _run_sets(arguments: argparse.Namespace, settings: Settings, command: str) -> int:
+def _run_sets(arguments: argparse.Namespace, settings: Settings) -> int:
     """Compare two sets; returns the exit code."""
     if arguments.html:
         raise UsageError("--html needs --history; for two sets, use --markdown or --json")
@@ -196,14 +196,14 @@ def _run_sets(arguments: argparse.Namespace, settings: Settings, command: str) -
     across = arguments.across
     result = compare(*read_sides(expand(base), expand(head), reader, work, across), settings, work, across)
     files = [
-        (arguments.markdown, lambda: render_markdown(comment(result, command))),
+        (arguments.markdown, lambda: render_markdown(comment(result, arguments.command_line))),
         (arguments.junit, lambda: junit(result)),
     ]
     shown = full if arguments.all else short
     return _present(arguments, work, result, lambda: shown(result), lambda: dump_json(result), files)
 
 
-def _run_history(arguments: argparse.Namespace, settings: Settings, command: str) -> int:
+def _run_history(arguments: argparse.Namespace, settings: Settings) -> int:
     """Follow quantities over the points of a history; returns the exit code."""
     if arguments.sets or arguments.base or arguments.head:
         raise UsageError("--history cannot be combined with base and head: give one or the other")
@@ -222,8 +222,8 @@ def _run_history(arguments: argparse.Namespace, settings: Settings, command: str
     work, reader = _reading(arguments)
     history = trace(read_points(arguments.history, reader, work), settings, work, gated=arguments.gate is not None)
     files = [
-        (arguments.html, lambda: render_page(full(history, command))),
-        (arguments.markdown, lambda: render_markdown(full(history, command))),
+        (arguments.html, lambda: render_page(full(history, arguments.command_line))),
+        (arguments.markdown, lambda: render_markdown(full(history, arguments.command_line))),
     ]
     shown = full if arguments.all else short
     return _present(arguments, work, history, lambda: shown(history), lambda: dump_json(history), files)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
 from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
-from gpusimbench.schemas.commands.progress import each, sizes, stage
+from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.text import plural
@@ -64,14 +64,16 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Compare and print; returns the exit code."""
     from gpusimbench.evaluator.diff.sections import diff_document, dump_json
     from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.evaluator.runs.validation import verified
 
     arguments.files = expand(arguments.files, copies=True)
     _check(arguments)
-    recordings = _verified(arguments)
+    recordings = [Recording(path) for path in arguments.files] if arguments.no_verify else verified(arguments.files)
     with stage("comparing states"):
         found = _compare(recordings, arguments.env)
     if arguments.plot:
@@ -101,17 +103,6 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.plot and arguments.plot.suffix != ".svg":
         raise UsageError(f"--plot draws SVG; name the file .svg instead of {arguments.plot.name}")
     check_target(arguments.json)
-
-
-def _verified(arguments: argparse.Namespace) -> list[Recording]:
-    from gpusimbench.evaluator.read.recording import Recording
-    from gpusimbench.evaluator.runs.validation import verify
-
-    recordings = [Recording(path) for path in arguments.files]
-    if not arguments.no_verify:
-        for recording in each(recordings, "verifying recordings", sizes(arguments.files)):
-            verify(recording)
-    return recordings
 
 
 def _compare(recordings: list[Recording], envs: list[int]) -> Difference:

@@ -37,22 +37,24 @@ def new_parser(command: str, description: str, epilog: str, reads: Iterable[str]
     return p
 
 
-def enter(
-    parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace, str], int], argv: list[str] | None = None
+def _enter(
+    parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int], argv: list[str] | None = None
 ) -> int:
     """Parse the arguments, do the work and return the exit code; every error is one line on standard error.
 
-    run  takes the arguments and the whole command as a shell would, without what gives access to addresses
+    run  takes the arguments; their `command_line` is the whole command as a shell would take it, without what gives
+         access to addresses
     """
     given = sys.argv[1:] if argv is None else argv
     arguments = parser.parse_args(given)
+    arguments.command_line = shlex.join([parser.prog, *map(shown_argument, given)])
     write_every_sign()
     try:
         with warnings.catch_warnings():
             # states may be of any size, or not finite: the results say so, and no library beside them
             warnings.simplefilter("ignore", RuntimeWarning)
             with Progress(parser.prog):
-                code = run(arguments, shlex.join([parser.prog, *map(shown_argument, given)]))
+                code = run(arguments)
         sys.stdout.flush()
     except GsbError as error:
         complain(parser.prog, error.advised)
@@ -75,12 +77,12 @@ def enter(
 
 
 def entry_point(
-    parser: Callable[[], argparse.ArgumentParser], run: Callable[[argparse.Namespace, str], int]
+    parser: Callable[[], argparse.ArgumentParser], run: Callable[[argparse.Namespace], int]
 ) -> Callable[..., int]:
-    """The function that a command is installed as: it takes the arguments and returns the exit code (see `enter`)."""
+    """The function that a command is installed as: it takes the arguments and returns the exit code (see `_enter`)."""
 
     def main(argv: list[str] | None = None) -> int:
-        return enter(parser(), run, argv)
+        return _enter(parser(), run, argv)
 
     return main
 

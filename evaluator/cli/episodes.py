@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, verified
+from gpusimbench.evaluator.cli.arguments import add_json, check_target
 from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
@@ -81,14 +81,15 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Evaluate and print; returns the exit code."""
     from gpusimbench.evaluator.episodes.comparison import compare
     from gpusimbench.evaluator.episodes.document import dump_json, episodes_document
-    from gpusimbench.evaluator.episodes.outcome import outcome, profiles
-    from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side, without_repeats
+    from gpusimbench.evaluator.episodes.outcome import outcomes, profiles
+    from gpusimbench.evaluator.episodes.side import check_distinct
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.runs.validation import verified
 
     check_target(arguments.json)
     if arguments.per_env is not None and arguments.per_env < 1:
@@ -100,11 +101,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     given = [verified(list(expand(files))) for files in (arguments.files, arguments.against) if files]
     check_distinct([recording for side in given for recording in side])
     with stage("evaluating episodes"):
-        sides = [without_repeats(read_side(recordings)) for recordings in given]
-        per_env = arguments.per_env or min(side.at_most for side in sides)
-        chosen, at = Choice.GIVEN if arguments.per_env else Choice.LARGEST, At(arguments.success_at)
-        episodes = [choose(side, per_env, arguments.success, at) for side in sides]
-        policy, *against = [outcome(one, chosen, arguments.success, at) for one in episodes]
+        episodes, (policy, *against) = outcomes(given, arguments.per_env, arguments.success, At(arguments.success_at))
         other = against[0] if against else None
         compared = compare(*episodes) if other else None
     answer(
@@ -116,26 +113,18 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _across(arguments: argparse.Namespace) -> int:
-    from gpusimbench.evaluator.episodes.dependence import Across, Setting, dependences, grouped
+    from gpusimbench.evaluator.episodes.dependence import across, grouped
     from gpusimbench.evaluator.episodes.document import across_document, dump_across
-    from gpusimbench.evaluator.episodes.outcome import outcome
-    from gpusimbench.evaluator.episodes.side import Choice, check_distinct, choose, read_side, without_repeats
+    from gpusimbench.evaluator.episodes.side import check_distinct
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.runs.validation import verified
 
     recordings = verified(list(expand(arguments.files)))
     check_distinct(recordings)
     groups = grouped(recordings, arguments.across)
     with stage("evaluating episodes"):
-        sides = [without_repeats(read_side(group)) for group in groups.values()]
-        per_env = arguments.per_env or min(side.at_most for side in sides)
-        chosen, at = Choice.GIVEN if arguments.per_env else Choice.LARGEST, At(arguments.success_at)
-        episodes = [choose(side, per_env, arguments.success, at) for side in sides]
-        settings = [
-            Setting(str(value), outcome(one, chosen, arguments.success, at))
-            for value, one in zip(groups, episodes, strict=True)
-        ]
-        found = Across(arguments.across, tuple(settings), dependences(episodes))
+        found = across(arguments.across, groups, arguments.per_env, arguments.success, At(arguments.success_at))
     answer(arguments.json, lambda: dump_across(found), lambda: across_document(found))
     return int(ExitCode.OK)
 

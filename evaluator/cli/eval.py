@@ -17,6 +17,7 @@ from gpusimbench.evaluator.cli.arguments import (
     store_of,
 )
 from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
+from gpusimbench.evaluator.render.formats import Format
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from gpusimbench.evaluator.results.evaluation import Evaluation
     from gpusimbench.evaluator.runs.run import Run
 
-_FORMATS = ("parquet", "csv", "md", "tex")
 
 _EPILOG = """\
 exit codes:
@@ -80,9 +80,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--format",
         type=_formats,
-        default=("parquet",),
+        default=(Format.PARQUET,),
         metavar="LIST",
-        help="with --tables: any of parquet, csv, md, tex, with commas between; all but parquet write the report's "
+        help=f"with --tables: any of {', '.join(Format)}, with commas between; all but parquet write the report's "
         "tables, a file each (default: parquet)",
     )
     p.add_argument("--figures", type=local_path, metavar="DIR", help="write each figure as SVG, PDF and CSV")
@@ -96,16 +96,17 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def _formats(text: str) -> tuple[str, ...]:
+def _formats(text: str) -> tuple[Format, ...]:
     """Formats of tables, each once."""
-    names = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
-    if unknown := [name for name in names if name not in _FORMATS]:
-        known = f"{', '.join(_FORMATS)}{did_you_mean(unknown[0], _FORMATS)}"
-        raise argparse.ArgumentTypeError(f"no format of tables: {', '.join(unknown)}; known: {known}")
-    return names
+    known = [one.value for one in Format]
+    names = dict.fromkeys(part.strip() for part in text.split(","))
+    if unknown := [name for name in names if name not in known]:
+        hint = did_you_mean(unknown[0], known)
+        raise argparse.ArgumentTypeError(f"no format of tables: {', '.join(unknown)}; known: {', '.join(known)}{hint}")
+    return tuple(map(Format, names))
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Evaluate and print; returns the exit code."""
     from gpusimbench.evaluator.inputs.reader import Reader
     from gpusimbench.evaluator.read.addresses import left_below
@@ -113,9 +114,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     check_sample_time(arguments.sample_time)
     check_target(arguments.json)
-    if arguments.format != ("parquet",) and not arguments.tables:
+    if arguments.format != (Format.PARQUET,) and not arguments.tables:
         raise UsageError("--format says what --tables DIR writes; give both")
-    if arguments.tables and "parquet" in arguments.format:
+    if arguments.tables and Format.PARQUET in arguments.format:
         from gpusimbench.evaluator.report.parquet import polars
 
         polars()  # before anything is computed
@@ -140,7 +141,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
             return int(evaluation.unreadable[0].error.exit_code)
         what = "only real trials" if recordings else "no recording that can be read"
         raise NothingComparable(f"nothing to evaluate: there is {what} among the files")
-    _present(evaluation, arguments, command)
+    _present(evaluation, arguments)
     return _exit_code(evaluation, recordings)
 
 
@@ -165,19 +166,19 @@ def _one(given: Place | None) -> Place | None:
     return found[0] if found else None
 
 
-def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> None:
+def _present(evaluation: Evaluation, arguments: argparse.Namespace) -> None:
     from gpusimbench.evaluator.report.json import dump_json
 
-    answer(arguments.json, lambda: dump_json(evaluation), lambda: _document(evaluation, arguments, command))
+    answer(arguments.json, lambda: dump_json(evaluation), lambda: _document(evaluation, arguments))
     if arguments.tables:
-        from gpusimbench.evaluator.render.table_files import Format, table_files
+        from gpusimbench.evaluator.render.table_files import table_files
         from gpusimbench.evaluator.report.document import in_short
         from gpusimbench.evaluator.report.parquet import parquet_tables
         from gpusimbench.evaluator.report.source import Source
 
-        formats = [Format(name) for name in arguments.format]
-        tables = parquet_tables(evaluation) if Format.PARQUET in formats else {}
-        tables |= table_files(in_short(Source(evaluation, arguments.published, command)), formats)
+        tables = parquet_tables(evaluation) if Format.PARQUET in arguments.format else {}
+        document = in_short(Source(evaluation, arguments.published, arguments.command_line))
+        tables |= table_files(document, arguments.format)
         paths = {arguments.tables / name: content for name, content in tables.items()}
         write_files(paths)
         for table in paths:
@@ -194,16 +195,16 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         from gpusimbench.evaluator.report.document import write_html
 
         with stage("writing the report"):
-            page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
+            page = write_html(evaluation, arguments.html, published=arguments.published, command=arguments.command_line)
         show(line(f"report: {page}"), error=arguments.json == "-")
 
 
-def _document(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> Document:
+def _document(evaluation: Evaluation, arguments: argparse.Namespace) -> Document:
     if arguments.all:
         from gpusimbench.evaluator.report.document import in_short
         from gpusimbench.evaluator.report.source import Source
 
-        return in_short(Source(evaluation, arguments.published, command))
+        return in_short(Source(evaluation, arguments.published, arguments.command_line))
     from gpusimbench.evaluator.report.brief import brief
 
     return brief(evaluation)

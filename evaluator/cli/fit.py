@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
 from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
-from gpusimbench.schemas.commands.folder_lock import held
+from gpusimbench.schemas.commands.folder_lock import folder_lock
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
 
@@ -83,7 +83,7 @@ def parser() -> Parser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Search, judge and print; returns the exit code."""
     from gpusimbench.evaluator.fit.document import dump_json, fit_document
     from gpusimbench.evaluator.fit.fitting import Asked, fit
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     asked = Asked(
         arguments.sim, names, given, arguments.tosses, arguments.dt, arguments.budget, arguments.out
     )  # fmt: skip
-    with held(arguments.out, "gsb-fit", "fits options"):
+    with folder_lock(arguments.out, "gsb-fit", "fits options"):
         found = fit(asked)
     answer(arguments.json, lambda: dump_json(found), lambda: fit_document(found))
     return int(ExitCode.OK)

@@ -7,19 +7,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, verified
+from gpusimbench.evaluator.cli.arguments import add_json, check_target
 from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
 from gpusimbench.schemas.commands.parser import Parser
-from gpusimbench.schemas.commands.progress import each
-from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.imports.audit import Audit
-    from gpusimbench.evaluator.read.recording import Recording
 
 _OUT = Path("imports")
-_REFERENCE = "mujoco"
 
 _EPILOG = """\
 Every engine reads a model file by an importer of its own, and what an importer does not know is often dropped without
@@ -88,11 +85,12 @@ def parser() -> Parser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Record if asked to, compare and print; returns the exit code."""
     from gpusimbench.evaluator.imports.audit import audited
     from gpusimbench.evaluator.imports.sections import dump_import, import_document
     from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.runs.validation import verified
 
     check_target(arguments.json)
     if arguments.sim:
@@ -112,51 +110,16 @@ def _check_recordings(arguments: argparse.Namespace) -> None:
 
 
 def _recorded(arguments: argparse.Namespace) -> tuple[Audit, ...]:
-    from gpusimbench.evaluator.compute.recorder import about
-    from gpusimbench.evaluator.imports.audit import audited, refused
-    from gpusimbench.schemas.imported import IMPORTED
+    from gpusimbench.evaluator.imports.audit import REFERENCE
+    from gpusimbench.evaluator.imports.record import ModelRuns
 
     names = list(dict.fromkeys(filter(None, (part.strip() for part in arguments.sim.split(",")))))
-    engines = [name for name in names if name != _REFERENCE]
+    engines = [name for name in names if name != REFERENCE]
     if len(arguments.files) > 1 or not isinstance(arguments.files[0], Path):
         raise UsageError("--sim takes one model file of this machine")
     if not engines:
         raise UsageError(f"--sim names engines to be compared with MuJoCo C, such as warp,mjx, not '{arguments.sim}'")
-    for name in engines:
-        about(name)  # wrong usage where there is none
-    model = arguments.files[0]
-    reference, why = _make(model, _REFERENCE, [], arguments)
-    if reference is None:
-        raise UsageError(why)
-    if reference.attachment(IMPORTED) is None:
-        raise GsbError(f"{_REFERENCE} could not be recorded: {reference.status}: {reference.reason} ({reference.path})")
-    audits = []
-    for name in each(engines, "recording what engines make of the model"):
-        recording, why = _make(model, name, arguments.option, arguments)
-        if recording is None:
-            audits.append(refused(name, arguments.option, why))
-        else:
-            audits += audited([reference, recording])
-    return tuple(audits)
-
-
-def _make(
-    model: Path, simulator: str, options: list[str], arguments: argparse.Namespace
-) -> tuple[Recording | None, str]:
-    """The recording of an engine; None, and why, where it takes no such model."""
-    from gpusimbench.evaluator.compute.recorder import as_path, record
-
-    given = ["--sim", simulator, "--model", as_path(model), "--phases", "import", "--runs", "1", "--n-env", "1"]
-    given += [f"--option={option}" for option in options]
-    given += ["--seed", str(arguments.seed), "--compression", "zstd", "--out", str(arguments.out)]
-    made, why = record(given, lambda text: None)
-    if why:
-        return None, why
-    (one,) = made
-    if one.file is None or one.status == "stopped":
-        raise GsbError(f"{simulator} could not be recorded: {one.status}: {one.reason}")
-    (recording,) = verified([place(str(one.file))])
-    return recording, ""
+    return ModelRuns(arguments.files[0], arguments.seed, arguments.out).audited(engines, arguments.option)
 
 
 main = entry_point(parser, run)

@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Print a block for each file; returns the exit code."""
     from gpusimbench.evaluator.check.inspection import Inspection, inspect
     from gpusimbench.evaluator.check.integrity import examine

@@ -5,25 +5,22 @@ from __future__ import annotations
 import argparse
 import hashlib
 import sys
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, verified
+from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path
 from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
-from gpusimbench.schemas.commands.folder_lock import held
+from gpusimbench.schemas.commands.folder_lock import folder_lock
 from gpusimbench.schemas.commands.parser import Parser
-from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
-from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.text import line, show
 from gpusimbench.schemas.treatment import QUANTITIES, VARIED_SPREAD, Vary
 
 if TYPE_CHECKING:
-    from gpusimbench.evaluator.probe.plan import Arm, Plan
+    from gpusimbench.evaluator.probe.plan import Plan
     from gpusimbench.evaluator.read.recording import Recording
     from gpusimbench.evaluator.results.determinism_cost import Family
-    from gpusimbench.schemas.configuration import RunConfiguration
     from gpusimbench.schemas.location import Place
 
 _OUT = Path("probe")
@@ -125,22 +122,22 @@ def parser() -> Parser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Record what is missing, compare and print; returns the exit code."""
     from gpusimbench.evaluator.probe.finding import Answer
     from gpusimbench.evaluator.probe.json import dump_probe
-    from gpusimbench.evaluator.probe.questions import QUESTIONS, probed
+    from gpusimbench.evaluator.probe.questions import QUESTIONS, probed, why_nothing_asked
+    from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.report.evidence_json import family_record
     from gpusimbench.evaluator.report.sections.probed import probe_document
 
     _check(arguments)
-    problems: list[str] = []
-    files = _recorded(arguments, problems) if arguments.sim else _given(arguments)
+    files, problems = _recorded(arguments) if arguments.sim else (list(expand(arguments.files)), [])
     recordings = _verified(files)
     asked, prices = probed(recordings), _prices(recordings)
     findings = [finding for one in asked for finding in one.findings]
     if all(finding.answer is Answer.NOT_ASKED for finding in findings):
-        raise NothingComparable("; ".join(problems) or _nothing_asked(recordings))
+        raise NothingComparable("; ".join(problems) or why_nothing_asked(recordings))
     answer(
         arguments.json,
         lambda: dump_probe(asked, [family_record(family) for family in prices]),
@@ -183,30 +180,13 @@ def _vary(text: str) -> str:
     return str(found)
 
 
-def _given(arguments: argparse.Namespace) -> list[Place]:
-    from gpusimbench.evaluator.read.addresses import expand
-
-    return list(expand(arguments.files))
-
-
 def _verified(files: list[Place]) -> list[Recording]:
+    from gpusimbench.evaluator.runs.validation import verified
+
     found = verified(files)
     if lost := [recording for recording in found if recording.status == "incomplete"]:
         raise DataLost(f"{lost[0].path} is incomplete: {lost[0].reason}")
     return found
-
-
-def _nothing_asked(recordings: list[Recording]) -> str:
-    if any(field.group == ENV for recording in recordings for field in recording.fields):
-        return (
-            "of recordings of tasks, gsb-probe asks only whether runs repeat, and no two of these recordings have the "
-            "same configuration; gsb-diff A B compares the environments that two recordings have in common, "
-            "gsb-episodes compares success rates"
-        )
-    failed = [recording for recording in recordings if recording.status not in ("complete", "incomplete")]
-    if recordings and len(failed) == len(recordings):
-        return f"no run ended well: {failed[0].path} is {failed[0].status}: {failed[0].reason}"
-    return "nothing to compare: gsb-probe needs runs of one configuration, or recordings that differ in one thing alone"
 
 
 def _prices(recordings: list[Recording]) -> tuple[Family, ...]:
@@ -218,99 +198,15 @@ def _prices(recordings: list[Recording]) -> tuple[Family, ...]:
     return price_list(evaluate_files(clocked).results) if clocked else ()
 
 
-def _recorded(arguments: argparse.Namespace, problems: list[str]) -> list[Place]:
-    """The recordings of all plans, those that were missing made; `problems` gets what could not be recorded."""
+def _recorded(arguments: argparse.Namespace) -> tuple[list[Place], list[str]]:
+    """The recordings of all plans, those that were missing made; and what could not be recorded."""
+    from gpusimbench.evaluator.probe.record import ProbeFolder
+
     plans = _plans(arguments)
-    with held(arguments.out, "gsb-probe", "records a probe"):
-        for plan in plans:
-            _record_arms(plan, arguments.out, problems)
-        together: dict[tuple[str, str, tuple[str, ...]], list[Plan]] = {}
-        for plan in plans:
-            together.setdefault((plan.simulator, plan.scene, plan.options), []).append(plan)
-        for levels in together.values():
-            _clock(levels, arguments.out, problems)
-    return [recording.path for plan in plans for recording in _there(arguments.out, plan)]
-
-
-def _record_arms(plan: Plan, out: Path, problems: list[str]) -> None:
-    from gpusimbench.schemas.text import plural
-
-    refused = _record(plan, plan.missing(_configurations(out, plan)), out, problems)
-    again = plan.missing(_configurations(out, plan), differing(_there(out, plan)))
-    _record(plan, [arm for arm in again if arm not in refused], out, problems, "once more")
-    for why in dict.fromkeys(refused.values()):  # an ability that is missing is an answer
-        count = sum(reason == why for reason in refused.values())
-        show(line(f"gsb-probe: {plural(count, 'arm')} not recorded: {why}"), error=True)
-
-
-def _clock(levels: list[Plan], out: Path, problems: list[str]) -> None:
-    """Make the runs that tell what each level of determinism costs; none where there is one level alone."""
-    from gpusimbench.evaluator.probe.plan import PRICED, arm_of, interleaved
-
-    if len(levels) < 2:
-        return
-    there = {plan: sum(arm_of(c) == plan.priced for c in _configurations(out, plan)) for plan in levels}
-    order = list(interleaved(levels))
-    left = [plan for at, plan in enumerate(order) if order[:at].count(plan) >= there[plan]]
-    for plan in each(left, f"clocking {levels[0].simulator}, {PRICED} runs a level"):
-        _make(plan, plan.priced, out, problems)
-
-
-def _record(plan: Plan, left: list[Arm], out: Path, problems: list[str], what: str = "") -> dict[Arm, str]:
-    """Make the runs of these arms; returns those that the simulator refuses, with its reason."""
-    found: dict[Arm, str] = {}
-    title = " ".join(filter(None, (f"recording {plan.simulator}, {plan.determinism}", what)))
-    for arm in each(left, title, [plan.n_env + arm.n_env for arm in left]):
-        if arm in found:
-            continue
-        if refused := _make(plan, arm, out, problems):
-            found[arm] = refused
-    return found
-
-
-def _make(plan: Plan, arm: Arm, out: Path, problems: list[str]) -> str:
-    """Make the run of an arm; returns why the simulator refuses what is done to it."""
-    from gpusimbench.evaluator.compute.recorder import record
-
-    saved = _saved(plan, arm, out) if arm.continued else ""
-    if arm.continued and not saved:
-        return "there is no snapshot to continue"
-    made, refused = record(plan.arguments(arm, str(out), saved), lambda text: None)
-    for one in made:
-        if one.file is None or one.status == "stopped":
-            problems.append(f"{plan.command(arm, str(out), saved)}: {one.status}: {one.reason}")
-            complain("gsb-probe", problems[-1])
-    if refused and not arm.intervention and not arm.initial:
-        raise UsageError(refused)
-    return refused
-
-
-def _saved(plan: Plan, arm: Arm, out: Path) -> str:
-    """The latest recording with the snapshot that an arm continues; empty without one."""
-    found = [r for r in _there(out, plan) if arm.continued in r.configuration.snapshots and r.status == "complete"]
-    return str(found[-1].path) if found else ""
-
-
-def differing(recordings: list[Recording]) -> list[Arm]:
-    """Arms of which something differs: more runs of them tell whether that is more than runs do anyway."""
-    from gpusimbench.evaluator.probe.finding import Answer
-    from gpusimbench.evaluator.probe.plan import arm_of
-    from gpusimbench.evaluator.probe.questions import probed
-
-    at = {recording.path: arm_of(recording.configuration) for recording in recordings}
-    no = (f for one in probed(recordings) for f in one.findings if f.answer is Answer.NO and f.found is not None)
-    return list(dict.fromkeys(at[path] for finding in no if finding.found for path in finding.found.files))
-
-
-def _configurations(out: Path, plan: Plan) -> list[RunConfiguration]:
-    return [recording.configuration for recording in _there(out, plan)]
-
-
-def _there(out: Path, plan: Plan) -> list[Recording]:
-    from gpusimbench.evaluator.read.recording import Recording
-
-    found = [Recording(place(str(path))) for path in (sorted(out.glob("*.mcap")) if out.is_dir() else [])]
-    return [r for r in found if r.status != "incomplete" and plan.has(r.configuration)]
+    folder = ProbeFolder(arguments.out, partial(complain, "gsb-probe"))
+    with folder_lock(arguments.out, "gsb-probe", "records a probe"):
+        files = folder.record(plans)
+    return files, folder.problems
 
 
 def _plans(arguments: argparse.Namespace) -> list[Plan]:
@@ -323,36 +219,36 @@ def _plans(arguments: argparse.Namespace) -> list[Plan]:
     if arguments.model is not None:
         model = Model(as_path(arguments.model), hashlib.sha256(pack(arguments.model)).hexdigest())
     for name in filter(None, (part.strip() for part in arguments.sim.split(","))):
-        known = about(name)
+        engine = about(name)
         chosen = dict(option.partition("=")[::2] for option in arguments.option)
-        device = chosen.get("device") if chosen.get("device") in _NUMBERS else known["device_here"]
-        levels = known["levels"]
-        if arguments.determinism == "all":
-            wanted = [level["level"] for level in levels if level["effect_here"]]
-            for level in levels:
-                if not level["effect_here"]:
-                    why = f"{level['level']} has no effect on this device: {level['why_none']}"
-                    show(line(f"gsb-probe: {name}: {why}"), error=True)
-        else:
-            wanted = [part.strip() for part in arguments.determinism.split(",")]
+        device = chosen.get("device") if chosen.get("device") in _NUMBERS else engine["device_here"]
         plans += [
             Plan(
-                name,
-                arguments.scene or _SCENE,
-                level,
-                tuple(arguments.option),
-                arguments.seed,
-                arguments.steps or (_QUICK_STEPS if arguments.quick else _STEPS),
-                arguments.n_env,
-                _numbers(arguments, device or "cpu"),
-                arguments.spread,
-                arguments.stride,
-                arguments.vary,
-                model,
+                simulator=name,
+                scene=arguments.scene or _SCENE,
+                determinism=level,
+                options=tuple(arguments.option),
+                seed=arguments.seed,
+                steps=arguments.steps or (_QUICK_STEPS if arguments.quick else _STEPS),
+                n_env=arguments.n_env,
+                numbers=_numbers(arguments, device or "cpu"),
+                spread=arguments.spread,
+                stride=arguments.stride,
+                vary=arguments.vary,
+                model=model,
             )
-            for level in wanted
+            for level in _levels(arguments.determinism, engine["levels"], name)
         ]
     return plans
+
+
+def _levels(asked: str, known: list[dict[str, Any]], simulator: str) -> list[str]:
+    if asked != "all":
+        return [part.strip() for part in asked.split(",")]
+    for level in known:
+        if not level["effect_here"]:
+            complain("gsb-probe", f"{simulator}: {level['level']} has no effect on this device: {level['why_none']}")
+    return [level["level"] for level in known if level["effect_here"]]
 
 
 def _numbers(arguments: argparse.Namespace, device: str) -> tuple[int, ...]:

@@ -76,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Run the program, compare and print; returns the exit code."""
     from gpusimbench.evaluator.compute.recorder import run_program
     from gpusimbench.evaluator.programs import compare_runs, dump_json, runs_document

@@ -129,7 +129,7 @@ _VIEWER = (
 )
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Do what the verb says; returns the exit code."""
     verbs: dict[str, Callable[[argparse.Namespace], int]] = {
         "pack": _pack,

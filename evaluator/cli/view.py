@@ -72,7 +72,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Read, write and open; returns the exit code."""
     from gpusimbench.evaluator.player.clip import make_clip
     from gpusimbench.evaluator.player.page import sentences
@@ -91,14 +91,14 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         from gpusimbench.evaluator.player.task_page import only_curves
 
         if only_curves(recordings):
-            _curves(recordings, arguments.env, out, command, opened=not arguments.no_open)
+            _curves(recordings, arguments.env, out, arguments.command_line, opened=not arguments.no_open)
             return _ended(recordings)
     with stage("reading states"):
         clip = make_clip(recordings, envs=arguments.env)
     for sentence in sentences(clip):
         complain("gsb-view", sentence)
     if program is Program.PAGE:
-        _page(clip, recordings, out, command, opened=not arguments.no_open)
+        _page(clip, recordings, out, arguments.command_line, opened=not arguments.no_open)
     else:
         _elsewhere(program, clip, recordings, arguments.spread, started=not arguments.no_open)
     return _ended(recordings)

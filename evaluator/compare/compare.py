@@ -86,7 +86,7 @@ FEW_RUNS = 6
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedConfiguration:
     """One configuration of both sets.
 
     pair      its groups
@@ -119,7 +119,7 @@ class Result:
     notes       about the sets as a whole
     """
 
-    compared: tuple[Compared, ...]
+    compared: tuple[ComparedConfiguration, ...]
     alone: tuple[tuple[str, str, str], ...]
     unreadable: tuple[tuple[str, Unreadable], ...]
     settings: Settings
@@ -291,14 +291,14 @@ def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) 
     return [[verdicts[id(i)] if isinstance(i, _Asked) else i for i in draft] for draft in drafts], tests
 
 
-def _compared(draft: _Draft, findings: list[Finding], alpha: float) -> Compared:
+def _compared(draft: _Draft, findings: list[Finding], alpha: float) -> ComparedConfiguration:
     notes = [
         f"{name}: {note}"
         for name, side, runs in (("base", draft.pair.base, draft.base), ("head", draft.pair.head, draft.head))
         for note in (*status_notes(side), *cotenant_notes(runs))
     ]
     notes += seeds_said(draft.base, draft.head)
-    return Compared(
+    return ComparedConfiguration(
         draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings, alpha)), tuple(notes), draft.timed
     )  # fmt: skip
 

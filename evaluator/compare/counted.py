@@ -10,7 +10,7 @@ from gpusimbench.evaluator.compare.matching import Pair
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.report.words import trouble
 from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
+from gpusimbench.evaluator.results.fidelity import CheckVerdict, Fidelity, FidelityRow, fidelity
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Measured
@@ -35,7 +35,7 @@ def compare_mechanics(base: Runs, head: Runs, *, certain: bool) -> Sequence[Find
         return (not_compared(Axis.PHYSICS, _NAME, _TITLE, why, applies=applies),)
     rows = {row.check: row for row in other.rows}
     both = [(row, rows[row.check]) for row in one.rows if row.check.demanded and row.check in rows]
-    none = Verdict.NOT_APPLICABLE
+    none = CheckVerdict.NOT_APPLICABLE
     judged = [pair for pair in both if all(row.verdict is not none for row in pair)]
     if not judged:
         either = any(row.check.demanded and row.verdict is not none for row in (*one.rows, *other.rows))
@@ -72,7 +72,7 @@ def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, cert
 
 
 def _said(row: FidelityRow) -> str:
-    broken = row.found if row.verdict is Verdict.BROKEN else None
+    broken = row.found if row.verdict is CheckVerdict.BROKEN else None
     said = f"BROKEN {broken.broken} of {broken.count}" if broken else row.verdict.value
     return f"{said} ({NEWEST.value})"
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from gpusimbench.evaluator.compare import words
-from gpusimbench.evaluator.compare.compare import Compared, Result, counts
+from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
 from gpusimbench.evaluator.json_values import document_of, dump, picked, values_of
 from gpusimbench.evaluator.render.document import (
@@ -111,7 +111,7 @@ def _verdict(result: Result) -> Text:
     return Text(words.sentence(result), Tone.BAD if result.failing else Tone.GOOD if passed else Tone.WARNING)
 
 
-def _ordered(result: Result) -> list[Compared]:
+def _ordered(result: Result) -> list[ComparedConfiguration]:
     """The configurations, those that fail first."""
     return sorted(result.compared, key=lambda one: not any(f.fails(result.settings) for f in one.findings))
 
@@ -154,7 +154,7 @@ def _cells(finding: Finding, result: Result) -> list[Cell | str]:
     ]
 
 
-def _alike(compared: Compared, result: Result) -> Iterator[str]:
+def _alike(compared: ComparedConfiguration, result: Result) -> Iterator[str]:
     """The quantities that need no number, a line for each verdict."""
     for change, said in _ALIKE.items():
         titles = [f.title for f in compared.findings if f.change is change and not f.undecided(result.settings)]
@@ -162,7 +162,7 @@ def _alike(compared: Compared, result: Result) -> Iterator[str]:
             yield f"{said}: {', '.join(titles)}"
 
 
-def _bits_of_one_run(compared: Compared) -> Iterator[str]:
+def _bits_of_one_run(compared: ComparedConfiguration) -> Iterator[str]:
     """Where the only run of head leaves the only run of base; of several runs, the table says it."""
     if compared.order.n == (1, 1):
         for finding in compared.findings:
@@ -185,7 +185,7 @@ def _left_out(result: Result, longest: int) -> list[str]:
     return [cut(line, longest) for line in (*lines, *(f"note: {note}" for note in result.notes))]
 
 
-def _section(compared: Compared, number: int, result: Result, longest: int) -> Section:
+def _section(compared: ComparedConfiguration, number: int, result: Result, longest: int) -> Section:
     """One configuration: every quantity, then warnings, then how the quantities were tested."""
     failing = sum(finding.fails(result.settings) for finding in compared.findings)
     undecided = words.undecided(compared, result)
@@ -230,7 +230,7 @@ def dump_json(result: Result) -> str:
     )  # fmt: skip
 
 
-def _configuration(compared: Compared, result: Result) -> dict[str, Any]:
+def _configuration(compared: ComparedConfiguration, result: Result) -> dict[str, Any]:
     pair = compared.pair
     sides = {
         name: {

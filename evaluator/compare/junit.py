@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 from gpusimbench.evaluator.compare import words
-from gpusimbench.evaluator.compare.compare import Compared, Result, counts
+from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.schemas.text import line
@@ -33,7 +33,7 @@ def junit(result: Result) -> str:
     )
 
 
-def _suite(suites: ET.Element, compared: Compared, result: Result) -> tuple[int, int, int, int]:
+def _suite(suites: ET.Element, compared: ComparedConfiguration, result: Result) -> tuple[int, int, int, int]:
     heading = _text(words.heading(compared))
     suite = ET.SubElement(suites, "testsuite", name=heading)
     cases = failures = errors = skipped = 0

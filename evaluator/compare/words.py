@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from gpusimbench.evaluator.compare.compare import Compared, Result, counts
+from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
 from gpusimbench.evaluator.episodes.document import difference, number
 from gpusimbench.evaluator.render.numbers import NONE, bounds, figure, scaled
@@ -103,21 +103,21 @@ def headline(result: Result) -> str:
     return "; ".join(parts)
 
 
-def heading(compared: Compared) -> str:
+def heading(compared: ComparedConfiguration) -> str:
     """Which configuration."""
     key = compared.pair.base.key
     envs = plural(key.n_env, "env")
     return f"{compared.pair.label}, {key.scene}, {envs}, dt {key.dt:g} s"
 
 
-def runs(compared: Compared) -> str:
+def runs(compared: ComparedConfiguration) -> str:
     """How many runs, and in which order they were made."""
     one, other = compared.order.n
     order = f", in the order {compared.order.text} (A base, B head)" if one and other and compared.order.known else ""
     return f"{plural(one, 'complete run')} of base, {other} of head{order}"
 
 
-def methods(compared: Sequence[Compared]) -> list[str]:
+def methods(compared: Sequence[ComparedConfiguration]) -> list[str]:
     """What each finding is of, and which way is better; each once."""
     lines = []
     for f in (f for one in compared for f in one.findings if f.change is not Change.NOT_COMPARED):
@@ -126,7 +126,7 @@ def methods(compared: Sequence[Compared]) -> list[str]:
     return list(dict.fromkeys(lines))
 
 
-def tests(compared: Compared) -> list[str]:
+def tests(compared: ComparedConfiguration) -> list[str]:
     """How findings were tested, and of how many runs where these are not all; what shares a test shares a line."""
     found: dict[str, list[str]] = {}
     for f in compared.findings:
@@ -138,7 +138,7 @@ def tests(compared: Compared) -> list[str]:
     return [f"{', '.join(titles)}: {test}" for test, titles in found.items()]
 
 
-def remarks(compared: Compared) -> list[str]:
+def remarks(compared: ComparedConfiguration) -> list[str]:
     """What a reader must see beside the numbers: notes of findings, and what was not compared."""
     lines = [f"{f.title}: {f.note}" for f in compared.findings if f.note]
     reasons: dict[str, list[str]] = {}
@@ -148,7 +148,7 @@ def remarks(compared: Compared) -> list[str]:
     return [*lines, *(f"not compared: {', '.join(titles)}: {why}" for why, titles in reasons.items()), *compared.notes]
 
 
-def undecided(compared: Compared, result: Result) -> list[str]:
+def undecided(compared: ComparedConfiguration, result: Result) -> list[str]:
     """What neither fails nor passes its gate, and why; what shares a reason shares a line."""
     reasons: dict[str, list[str]] = {}
     for finding in compared.findings:

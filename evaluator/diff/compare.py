@@ -7,7 +7,7 @@ from gpusimbench.evaluator.diff.common import Selection, common_fields, one, ste
 from gpusimbench.evaluator.diff.first import first_divergence
 from gpusimbench.evaluator.diff.numbers import pairing
 from gpusimbench.evaluator.diff.program import compare_program
-from gpusimbench.evaluator.diff.result import Basis, Compared, Difference
+from gpusimbench.evaluator.diff.result import Basis, ComparedStates, Difference
 from gpusimbench.evaluator.diff.settings import differing_settings, is_other_package
 from gpusimbench.evaluator.diff.splits import Agreement, common_hashes, step_range, timed_hashes
 from gpusimbench.evaluator.diff.states import BodyOrder, CommonStates
@@ -78,7 +78,7 @@ def _compare(a: Selection, b: Selection) -> Difference:
         a=a.side(),
         b=b.side(),
         one_recording=one_recording,
-        compared=Compared(
+        compared=ComparedStates(
             fields=walked.fields,
             n_env=agreement.pairs,
             state_steps=step_range(states.steps_a.tolist()) if len(states) else None,

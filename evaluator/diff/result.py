@@ -25,7 +25,7 @@ class Basis(Enum):
     LOCAL = "local"
 
 
-class Verdict(Enum):
+class DiffVerdict(Enum):
     """What the comparison comes to, over what was compared."""
 
     IDENTICAL = "bit-identical"
@@ -103,7 +103,7 @@ class FieldDifference:
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedStates:
     """Over what the comparison is.
 
     fields          by name, with what became of each
@@ -342,7 +342,7 @@ class Difference:
     a: Side
     b: Side
     one_recording: bool
-    compared: Compared
+    compared: ComparedStates
     bitwise: bool
     bit_identical: bool
     same_up_to_env_order: bool | None
@@ -370,11 +370,11 @@ class Difference:
         return self.first is not None or self.other_program
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> DiffVerdict:
         """What it comes to."""
         if self.different:
-            return Verdict.DIFFERENT
-        return Verdict.IDENTICAL if self.bit_identical else Verdict.WITHIN_RESOLUTION
+            return DiffVerdict.DIFFERENT
+        return DiffVerdict.IDENTICAL if self.bit_identical else DiffVerdict.WITHIN_RESOLUTION
 
     @property
     def signs_differ(self) -> bool:

@@ -22,14 +22,13 @@ PHASES = ("capture", "timed")
 class CommonHashes:
     """Recorded hashes of whole states, comparable with each other.
 
-    phase             of the runs that they are of
-    steps_a, steps_b  common steps, shape [step]
-    a, b              shape [step, env]
+    phase    of the runs that they are of
+    steps_a  common steps, as side a counts them, shape [step]
+    a, b     shape [step, env]
     """
 
     phase: str
     steps_a: NDArray[np.int64]
-    steps_b: NDArray[np.int64]
     a: NDArray[np.uint64]
     b: NDArray[np.uint64]
 
@@ -90,7 +89,7 @@ def _of_phase(phase: str, a: Selection, b: Selection, ratio: Fraction) -> Common
     if not len(steps_a):
         return None
     return CommonHashes(
-        phase, steps_a, steps_b,
+        phase, steps_a,
         of_a.hashes[np.searchsorted(of_a.steps, steps_a), a.slice],
         of_b.hashes[np.searchsorted(of_b.steps, steps_b), b.slice],
     )  # fmt: skip

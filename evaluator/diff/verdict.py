@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.program_parts import is_action
-from gpusimbench.evaluator.diff.result import Difference, Divergence, Number, Verdict
+from gpusimbench.evaluator.diff.result import Difference, DiffVerdict, Divergence, Number
 from gpusimbench.evaluator.diff.words import WITHOUT_UNIT
 from gpusimbench.evaluator.render.document import Text, Tone
 from gpusimbench.schemas.fields import ENV
@@ -18,11 +18,11 @@ def verdict_of(found: Difference, who: str = "") -> Text:
     """
     who = who or _who(found)
     part = bool(found.compared.left_out or found.lost)
-    if found.verdict is Verdict.IDENTICAL:
+    if found.verdict is DiffVerdict.IDENTICAL:
         if part:
             return Text(f"{who} are equal bit for bit as far as compared; not everything was compared.", Tone.WARNING)
         return Text(f"{who} are bit-identical.", Tone.GOOD)
-    if found.verdict is Verdict.WITHIN_RESOLUTION:
+    if found.verdict is DiffVerdict.WITHIN_RESOLUTION:
         far = " as far as compared" if part else ""
         return Text(f"{who} are equal within the resolution{far}; their bits cannot be compared.", Tone.WARNING)
     if found.program is not None and found.program.first is not None:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gpusimbench.evaluator.episodes.comparison import LEAST, evenly_repeated
-from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, Outcome
+from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, Outcome, outcomes
 from gpusimbench.evaluator.episodes.side import Episodes, with_common_clusters
+from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.cases import APART, PERMUTATIONS, in_proportion
 from gpusimbench.evaluator.statistics.families import holm
@@ -91,6 +92,18 @@ def grouped(recordings: Sequence[Recording], key: str) -> dict[Any, list[Recordi
     if len(found) < 2:
         raise UsageError(f"all recordings have one {key}, {next(iter(found))}: give recordings of two or more")
     return dict(sorted(found.items()))
+
+
+def across(
+    key: str, groups: Mapping[Any, Sequence[Recording]], per_env: int | None, success: str | None, at: At
+) -> Across:
+    """What a policy comes to in each group, and whether it depends on the setting.
+
+    Arguments and errors as of `outcomes`; groups as of `grouped`.
+    """
+    episodes, found = outcomes(list(groups.values()), per_env, success, at)
+    settings = tuple(Setting(str(value), one) for value, one in zip(groups, found, strict=True))
+    return Across(key, settings, dependences(episodes))
 
 
 def dependences(groups: Sequence[Episodes]) -> tuple[Dependence, ...]:

@@ -9,10 +9,11 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.episodes.side import Choice, Episodes
+from gpusimbench.evaluator.episodes.side import Choice, Episodes, choose, read_side, without_repeats
 from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.episodes import EpisodeTable
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.cases import (
     FEWEST,
     interquartile_mean,
@@ -118,6 +119,22 @@ class Outcome:
     mean_length: float
     distinct_starts: int
     quantities: tuple[Quantity, ...]
+
+
+def outcomes(
+    groups: Sequence[Sequence[Recording]], per_env: int | None, success: str | None, at: At
+) -> tuple[list[Episodes], list[Outcome]]:
+    """The episodes of groups of recordings, equally many of every environment, and what each group comes to.
+
+    per_env  None: the largest number that every environment of all groups has
+
+    Raises as `read_side` and `choose`.
+    """
+    sides = [without_repeats(read_side(recordings)) for recordings in groups]
+    chosen = Choice.GIVEN if per_env else Choice.LARGEST
+    per_env = per_env or min(side.at_most for side in sides)
+    episodes = [choose(side, per_env, success, at) for side in sides]
+    return episodes, [outcome(one, chosen, success, at) for one in episodes]
 
 
 def outcome(episodes: Episodes, chosen: Choice, success: str | None, at: At) -> Outcome:

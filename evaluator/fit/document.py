@@ -34,7 +34,7 @@ _TITLES = ("error of", "tosses", "before", "after", "change", "p")
 
 
 @dataclass(frozen=True)
-class Compared:
+class ErrorChange:
     """An error before and after, mean over tosses.
 
     quantity, unit "position" [cm] or "rotation" [deg]
@@ -73,12 +73,12 @@ class Fit:
     budget: int
     command: str
     evaluations: tuple[Evaluation, ...]
-    compared: tuple[Compared, ...]
+    compared: tuple[ErrorChange, ...]
     before: str
     after: str
 
     @property
-    def held_out(self) -> Compared:
+    def held_out(self) -> ErrorChange:
         """The comparison that judges: the error of position on odd tosses."""
         return next(one for one in self.compared if (one.quantity, one.tosses) == ("position", ODD))
 
@@ -95,12 +95,12 @@ class Fit:
         return f"Fitting {'helps' if one.change.mean < 0 else 'harms'}: {errors}."
 
 
-def _said(one: Compared) -> str:
+def _said(one: ErrorChange) -> str:
     p = one.change.p_value
     return f"error of {one.quantity} {one.before:.3g} {one.unit} to {one.after:.3g} {one.unit} (p = {p:.2g})"
 
 
-def compared(before: Recording, after: Recording, measured: MeasuredTosses) -> tuple[Compared, ...]:
+def compared(before: Recording, after: Recording, measured: MeasuredTosses) -> tuple[ErrorChange, ...]:
     """Errors of two recordings, on even and on odd tosses. GsbError where one has none."""
     found = []
     for of in _UNITS:
@@ -117,10 +117,10 @@ def _errors(recording: Recording, measured: MeasuredTosses, tosses: str) -> Toss
     return errors
 
 
-def _compared(of: str, tosses: str, before: TossErrors, after: TossErrors) -> Compared:
+def _compared(of: str, tosses: str, before: TossErrors, after: TossErrors) -> ErrorChange:
     unit, factor = _UNITS[of]
     one, other = (np.asarray(getattr(errors, of)) * factor for errors in (before, after))
-    return Compared(of, unit, tosses, *_mean(one), *_mean(other), paired(other, one))
+    return ErrorChange(of, unit, tosses, *_mean(one), *_mean(other), paired(other, one))
 
 
 def _mean(values: NDArray[np.float64]) -> tuple[float, tuple[float, float] | None]:
@@ -169,7 +169,7 @@ def _words(options: dict[str, str]) -> str:
     return ", ".join(f"{name}={value}" for name, value in options.items())
 
 
-def _row(one: Compared) -> list[str]:
+def _row(one: ErrorChange) -> list[str]:
     return [
         f"{one.quantity} [{one.unit}]",
         f"{one.change.cases} {one.tosses.split()[0]}",

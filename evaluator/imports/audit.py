@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusimbench.evaluator.imports.motion import Items, Poses, Responses, poses, responses
-from gpusimbench.evaluator.imports.parameters import Compared, Finding, compare
+from gpusimbench.evaluator.imports.parameters import ComparedKind, ParameterDifference, compare
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
@@ -93,13 +93,13 @@ class Audit:
     same_file: bool
     file: Place | None
     missing: str
-    kinds: tuple[Compared, ...]
+    kinds: tuple[ComparedKind, ...]
     poses: Poses | Missing
     responses: Responses | Missing
     landings: Landings | Missing
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[ParameterDifference, ...]:
         """All differences of parameters."""
         return tuple(finding for kind in self.kinds for finding in kind.findings)
 

@@ -24,7 +24,7 @@ _SIX = ("xx", "yy", "zz", "xy", "xz", "yz")
 _COMPONENTS = {"m": "xyz", "m/s": "xyz", "m/s^2": "xyz", "kg m^2": _SIX}
 
 
-class Verdict(StrEnum):
+class ParameterFault(StrEnum):
     """What is wrong with a parameter or a thing."""
 
     DIFFERS = "differs"
@@ -35,7 +35,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class ParameterDifference:
     """A difference.
 
     kind        of the thing: one of KINDS
@@ -47,7 +47,7 @@ class Finding:
     unit        of the difference
     """
 
-    verdict: Verdict
+    verdict: ParameterFault
     kind: str
     item: str
     parameter: str
@@ -58,7 +58,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedKind:
     """One kind of things.
 
     things        that both have
@@ -70,20 +70,20 @@ class Compared:
     kind: str
     things: int
     values: int
-    findings: tuple[Finding, ...]
+    findings: tuple[ParameterDifference, ...]
     not_compared: tuple[tuple[str, str], ...]
 
 
-def compare(reference: Imported, engine: Imported) -> tuple[Compared, ...]:
+def compare(reference: Imported, engine: Imported) -> tuple[ComparedKind, ...]:
     """Every kind of things that the reference or the engine has."""
     kinds = [kind for kind in KINDS if reference.names.get(kind) or engine.names.get(kind)]
     return tuple(_compared(kind, reference, engine) for kind in kinds)
 
 
-def _compared(kind: str, reference: Imported, engine: Imported) -> Compared:
+def _compared(kind: str, reference: Imported, engine: Imported) -> ComparedKind:
     if kind not in engine.names:
         why = engine.unread.get(kind, "the engine's are not read")
-        return Compared(kind, 0, 0, (), (("all of them", why),))
+        return ComparedKind(kind, 0, 0, (), (("all of them", why),))
     wanted, found = reference.names.get(kind, ()), engine.names[kind]
     common = [name for name in wanted if name in set(found)]
     unseen = _only_shown(reference) if kind == "geoms" else frozenset()
@@ -108,7 +108,7 @@ def _compared(kind: str, reference: Imported, engine: Imported) -> Compared:
             continue
         values += len(common)
         findings += _rows(parameter, common, ours, theirs[[row for _, row in rows]])
-    return Compared(kind, len(common), values, tuple(findings), tuple(left))
+    return ComparedKind(kind, len(common), values, tuple(findings), tuple(left))
 
 
 def _only_shown(reference: Imported) -> frozenset[str]:
@@ -123,18 +123,18 @@ def _only_shown(reference: Imported) -> frozenset[str]:
     )
 
 
-def _presence(kind: str, wanted: Sequence[str], found: Sequence[str], why: str) -> Iterator[Finding]:
+def _presence(kind: str, wanted: Sequence[str], found: Sequence[str], why: str) -> Iterator[ParameterDifference]:
     there, known = set(found), set(wanted)
     for name in wanted:
         if name not in there:
-            yield Finding(Verdict.MISSING, kind, name, "", "there", why or "not there")
+            yield ParameterDifference(ParameterFault.MISSING, kind, name, "", "there", why or "not there")
     for name in found:
         if name not in known:
-            yield Finding(Verdict.ADDED, kind, name, "", "not there", "there")
+            yield ParameterDifference(ParameterFault.ADDED, kind, name, "", "not there", "there")
     ours, theirs = [name for name in wanted if name in there], [name for name in found if name in known]
     if ours != theirs:
         at = next(i for i, (a, b) in enumerate(zip(ours, theirs, strict=True)) if a != b)
-        yield Finding(Verdict.ORDER, kind, "", "", _from(ours, at), _from(theirs, at))
+        yield ParameterDifference(ParameterFault.ORDER, kind, "", "", _from(ours, at), _from(theirs, at))
 
 
 def _from(names: Sequence[str], at: int) -> str:
@@ -150,22 +150,24 @@ def _used(parameter: Parameter, ours: NDArray[np.generic]) -> NDArray[np.bool_] 
     return np.asarray(((numbers != parameter.default) & ~np.isnan(numbers)).any(axis=1))
 
 
-def _lost(parameter: Parameter, ours: NDArray[np.generic], used: NDArray[np.bool_], why: str) -> Finding:
+def _lost(parameter: Parameter, ours: NDArray[np.generic], used: NDArray[np.bool_], why: str) -> ParameterDifference:
     count, first = int(used.sum()), int(np.argmax(used))
     item = "" if parameter.kind == "model" else f"{count} of {len(used)}"
     wanted = text_of(ours[first])
-    return Finding(
-        Verdict.LOST, parameter.kind, item, parameter.name, wanted if count == 1 else f"such as {wanted}", why
+    return ParameterDifference(
+        ParameterFault.LOST, parameter.kind, item, parameter.name, wanted if count == 1 else f"such as {wanted}", why
     )
 
 
 def _rows(
     parameter: Parameter, names: Sequence[str], ours: NDArray[np.generic], theirs: NDArray[np.generic]
-) -> Iterator[Finding]:
+) -> Iterator[ParameterDifference]:
     for name, a, b in zip(names, ours, theirs, strict=True):
         if a.dtype.kind == "U":
             if a.tolist() != b.tolist():
-                yield Finding(Verdict.DIFFERS, parameter.kind, name, parameter.name, text_of(a), text_of(b))
+                yield ParameterDifference(
+                    ParameterFault.DIFFERS, parameter.kind, name, parameter.name, text_of(a), text_of(b)
+                )
             continue
         x, y = _alike(parameter, a.astype(np.float64), b.astype(np.float64))
         if not x.size or (parameter.key in _FOLLOWING and np.isnan(y).all()):
@@ -174,7 +176,9 @@ def _rows(
         if apart > _tolerance(parameter, x):
             unit = "rad" if parameter.unit == "wxyz" else parameter.unit
             shown = _shown(parameter, x, y)
-            yield Finding(Verdict.DIFFERS, parameter.kind, name, parameter.name, *shown, float(apart), unit)
+            yield ParameterDifference(
+                ParameterFault.DIFFERS, parameter.kind, name, parameter.name, *shown, float(apart), unit
+            )
 
 
 def _alike(

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.imports.audit import Audit, Landing
 from gpusimbench.evaluator.imports.motion import MAX_DISTANCE, Poses, Response, Responses
-from gpusimbench.evaluator.imports.parameters import Compared, Finding, Verdict
+from gpusimbench.evaluator.imports.parameters import ComparedKind, ParameterDifference, ParameterFault
 from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
@@ -28,10 +28,10 @@ _COMPARED = ("what", "compared", "result")
 _DIFFERENCES = ("what", "item", "MuJoCo C", "engine", "difference")
 _DROP = ("engine", "first contact", "centre of mass then", "weight carried at the end")
 _FALSE = {
-    Verdict.MISSING: "missing",
-    Verdict.ADDED: "not in the model",
-    Verdict.ORDER: "order",
-    Verdict.LOST: "lost",
+    ParameterFault.MISSING: "missing",
+    ParameterFault.ADDED: "not in the model",
+    ParameterFault.ORDER: "order",
+    ParameterFault.LOST: "lost",
 }
 
 
@@ -96,7 +96,7 @@ def _blocks(number: int, audit: Audit, every: bool) -> Iterator[Block]:
         yield Text(f"{plural(len(left), 'parameter')} could not be compared: --all", Tone.QUIET)
 
 
-def _kind_row(kind: Compared) -> list[Cell | str]:
+def _kind_row(kind: ComparedKind) -> list[Cell | str]:
     things = f"{kind.things} x {plural(kind.values // kind.things, 'parameter')}" if kind.values else f"{kind.things}"
     if kind.kind == "model":
         things = plural(kind.values, "parameter")
@@ -163,14 +163,14 @@ def _differences(audit: Audit) -> Iterator[list[Cell | str]]:
             yield _response_row(response)
 
 
-def _finding_row(finding: Finding) -> list[Cell | str]:
+def _finding_row(finding: ParameterDifference) -> list[Cell | str]:
     what = f"{finding.kind}, {finding.parameter}" if finding.parameter else finding.kind
     apart: Cell | str = _FALSE.get(finding.verdict, "")
     if finding.difference is not None:
         apart = Cell(f"{finding.difference:.3g} {finding.unit}".rstrip(), finding.difference)
-    elif finding.verdict is Verdict.DIFFERS:
+    elif finding.verdict is ParameterFault.DIFFERS:
         apart = "differs"
-    if finding.verdict is Verdict.LOST:
+    if finding.verdict is ParameterFault.LOST:
         return [what, finding.item, finding.wanted, Cell("lost", notes=(finding.found,)), "lost"]
     return [what, finding.item, finding.wanted, finding.found, apart]
 

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compute.cache import Store
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.metrics.cotenants import CoTenants, cotenants
-from gpusimbench.evaluator.metrics.levels import Verdict, verdict
+from gpusimbench.evaluator.metrics.levels import AxisVerdict, verdict
 from gpusimbench.evaluator.metrics.throughput import changes_states
 from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
@@ -199,7 +199,7 @@ def _bit(overflows: Overflows, bit: int) -> BitSummary:
     return BitSummary(bit, int(hit.sum()), int(overflows.steps[hit][0]), int(overflows.envs[hit].max()))
 
 
-def _equality(positions: Positions | Missing, histories: Histories | Missing) -> Verdict | Missing:
+def _equality(positions: Positions | Missing, histories: Histories | Missing) -> AxisVerdict | Missing:
     if isinstance(positions, Missing):
         return positions
     if len(positions.recorded) < 2:

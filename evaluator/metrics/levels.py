@@ -20,7 +20,7 @@ TOLERANCE_M = 1e-4
 """0.1 mm, to which published distances are rounded (0.01 cm)."""
 
 
-class Level(IntEnum):
+class EqualityLevel(IntEnum):
     """How equal the samples are; a smaller number is a stronger statement."""
 
     BIT_IDENTICAL = 0
@@ -51,7 +51,7 @@ class Worst:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class AxisVerdict:
     """How equal the samples of an axis are.
 
     level       the strongest that holds
@@ -65,7 +65,7 @@ class Verdict:
                 "environments and bodies"; empty elsewhere
     """
 
-    level: Level
+    level: EqualityLevel
     max_ulp: float
     tolerance: float
     worst: Worst | None
@@ -78,11 +78,11 @@ class Verdict:
     def text(self) -> str:
         """The level in words, with its limit."""
         return {
-            Level.BIT_IDENTICAL: "bit-identical",
-            Level.EQUAL_UP_TO_ORDER: f"equal up to the order of {self.order}",
-            Level.WITHIN_ULP: f"within {self.max_ulp:g} ULP",
-            Level.WITHIN_TOLERANCE: f"within {self.tolerance * 1000:.3g} mm",
-            Level.DIFFERENT: "different",
+            EqualityLevel.BIT_IDENTICAL: "bit-identical",
+            EqualityLevel.EQUAL_UP_TO_ORDER: f"equal up to the order of {self.order}",
+            EqualityLevel.WITHIN_ULP: f"within {self.max_ulp:g} ULP",
+            EqualityLevel.WITHIN_TOLERANCE: f"within {self.tolerance * 1000:.3g} mm",
+            EqualityLevel.DIFFERENT: "different",
         }[self.level]
 
 
@@ -93,7 +93,7 @@ def verdict(
     origins: npt.NDArray[np.float64] | None = None,
     max_ulp: float = MAX_ULP,
     tolerance: float = TOLERANCE_M,
-) -> Verdict:
+) -> AxisVerdict:
     """The level of one axis: of the envs of a run, or of runs.
 
     Every pair is covered without looking at pairs: of one number over all samples, the largest difference is that of
@@ -128,27 +128,27 @@ def verdict(
     worst, worst_ulp = _worst(samples.astype(np.float64), samples)
     order = _other_order(samples) if n_distinct > 1 else ""
     if n_distinct == 1:
-        level = Level.BIT_IDENTICAL
+        level = EqualityLevel.BIT_IDENTICAL
         if hashes_agree is False:
-            level = Level.DIFFERENT
+            level = EqualityLevel.DIFFERENT
             note = "the positions are equal at the sample step, and states differ at other steps or in other fields"
     elif order:
-        level = Level.EQUAL_UP_TO_ORDER
+        level = EqualityLevel.EQUAL_UP_TO_ORDER
         note = _joined(note, "at the sample step")
     elif worst_ulp is None:
-        level, note = Level.DIFFERENT, _joined(note, "some positions are not finite")
+        level, note = EqualityLevel.DIFFERENT, _joined(note, "some positions are not finite")
     else:
         level = _by_size(_difference(worst), worst_ulp, max_ulp, tolerance)
-    return Verdict(level, max_ulp, tolerance, worst, worst_ulp, None, note, order)
+    return AxisVerdict(level, max_ulp, tolerance, worst, worst_ulp, None, note, order)
 
 
 def _beside_origins(
     samples: npt.NDArray[np.floating], origins: npt.NDArray[np.float64], max_ulp: float, tolerance: float
-) -> Verdict:
+) -> AxisVerdict:
     worst, worst_ulp = _worst(samples.astype(np.float64) - origins[:, np.newaxis, np.newaxis, :], samples)
     if worst_ulp is None:
         note = "some positions are not finite"
-        return Verdict(Level.DIFFERENT, max_ulp, tolerance, None, None, None, note)
+        return AxisVerdict(EqualityLevel.DIFFERENT, max_ulp, tolerance, None, None, None, note)
     resolution = float(np.spacing(np.abs(samples).max()))
     # each of two numbers is off by half a spacing, and the origins' own sums in float64 by next to nothing
     limit = max(tolerance, resolution)
@@ -158,15 +158,15 @@ def _beside_origins(
     )
     if _difference(worst) <= resolution:
         note += "; all differences are below that"
-    level = Level.WITHIN_TOLERANCE if _difference(worst) <= limit else Level.DIFFERENT
-    return Verdict(level, max_ulp, limit, worst, worst_ulp, resolution, note)
+    level = EqualityLevel.WITHIN_TOLERANCE if _difference(worst) <= limit else EqualityLevel.DIFFERENT
+    return AxisVerdict(level, max_ulp, limit, worst, worst_ulp, resolution, note)
 
 
-def _by_size(difference: float, worst_ulp: float, max_ulp: float, tolerance: float) -> Level:
+def _by_size(difference: float, worst_ulp: float, max_ulp: float, tolerance: float) -> EqualityLevel:
     # far from the origin an ULP is coarser than the tolerance, and no stronger statement than that
     if difference > tolerance:
-        return Level.DIFFERENT
-    return Level.WITHIN_ULP if worst_ulp <= max_ulp else Level.WITHIN_TOLERANCE
+        return EqualityLevel.DIFFERENT
+    return EqualityLevel.WITHIN_ULP if worst_ulp <= max_ulp else EqualityLevel.WITHIN_TOLERANCE
 
 
 def _difference(worst: Worst | None) -> float:

@@ -22,7 +22,7 @@ _MOST_CHANGES = 4000
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparableHashes:
     """State hashes of environments that can be held against each other bit by bit.
 
     recording, env  which environment a column is of: index of its recording, number; shape [member]
@@ -77,7 +77,7 @@ class Changes:
         return self.steps[self.so_far > before]
 
 
-def compared(recordings: Sequence[Recording]) -> Compared | str:
+def compared(recordings: Sequence[Recording]) -> ComparableHashes | str:
     """Hashes of the capture phase of all environments that share an origin with the first; or why there are none."""
     why_not = _why_not(recordings)
     if why_not:
@@ -96,7 +96,7 @@ def compared(recordings: Sequence[Recording]) -> Compared | str:
         return "the environments have different origins, which are part of the bits of their positions"
     most = max(1, _MOST_HASHES // (len(steps) * len(recordings)))
     kept = [envs[:most] for envs in members]
-    return Compared(
+    return ComparableHashes(
         np.repeat(np.arange(len(kept)), [len(envs) for envs in kept]),
         np.concatenate(kept),
         steps,
@@ -111,7 +111,7 @@ def compared(recordings: Sequence[Recording]) -> Compared | str:
     )
 
 
-def representatives(found: Compared, most: int) -> list[int]:
+def representatives(found: ComparableHashes, most: int) -> list[int]:
     """Members that stand for the classes, the first of each class, in the order in which the classes split off.
 
     Of classes that split off at one step, those of the same environment in the first few recordings are next to each
@@ -130,7 +130,7 @@ def representatives(found: Compared, most: int) -> list[int]:
     return list(order)[:most]
 
 
-def changes(found: Compared, shown: Sequence[int]) -> Changes:
+def changes(found: ComparableHashes, shown: Sequence[int]) -> Changes:
     """The classes of some members over time, among all members."""
     kept: list[tuple[Any, ...]] = []
     complete, before = True, 0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.player.classes import Changes, Compared, changes, compared, representatives
+from gpusimbench.evaluator.player.classes import Changes, ComparableHashes, changes, compared, representatives
 from gpusimbench.evaluator.player.poses import (
     Items,
     Surroundings,
@@ -176,7 +176,7 @@ def make_clip(
     picked = [_picked(steps, r, first) for steps, r in zip(rows, recordings, strict=True)]
     around = surroundings(recordings[0])
     tracks = _tracks(recordings, chosen, labels, rows, picked, budget)
-    n_member = among.hashes.shape[1] if isinstance(among, Compared) else 0
+    n_member = among.hashes.shape[1] if isinstance(among, ComparableHashes) else 0
     last = int(max(steps[-1] for steps in rows))
     return Clip(
         title or labels.title, labels.whose, labels.numbers, recordings[0].configuration.dt, last, tracks, around,
@@ -208,11 +208,13 @@ def check_shown(recordings: Sequence[Recording], envs: Sequence[int]) -> None:
         raise UsageError(f"{asked} are too many to tell apart: at most {MOST_SHOWN} are shown at a time")
 
 
-def _chosen(recordings: Sequence[Recording], among: Compared | str, envs: Sequence[int]) -> list[tuple[int, int]]:
+def _chosen(
+    recordings: Sequence[Recording], among: ComparableHashes | str, envs: Sequence[int]
+) -> list[tuple[int, int]]:
     """Recording and environment of each track."""
     if envs:
         return [(index, env) for env in dict.fromkeys(envs) for index in range(len(recordings))]
-    if isinstance(among, Compared):
+    if isinstance(among, ComparableHashes):
         members = representatives(among, _DEFAULT_SHOWN)
         return [(int(among.recording[member]), int(among.env[member])) for member in members]
     if len(recordings) > 1:
@@ -220,7 +222,7 @@ def _chosen(recordings: Sequence[Recording], among: Compared | str, envs: Sequen
     return [(0, env) for env in range(min(recordings[0].configuration.n_env, _NOT_COMPARED_SHOWN))]
 
 
-def _changes(among: Compared | str, chosen: Sequence[tuple[int, int]]) -> tuple[Changes | None, str]:
+def _changes(among: ComparableHashes | str, chosen: Sequence[tuple[int, int]]) -> tuple[Changes | None, str]:
     if isinstance(among, str):
         return None, among
     members = [among.member(*one) for one in chosen]
@@ -284,7 +286,7 @@ def _apart(
 def _notes(
     recordings: Sequence[Recording],
     labels: Labels,
-    among: Compared | str,
+    among: ComparableHashes | str,
     seen: Changes | None,
     tracks: Sequence[Track],
     rows: Sequence[NDArray[np.int64]],
@@ -298,7 +300,7 @@ def _notes(
             "off first are shown first"
         )
     notes += dict.fromkeys(filter(None, (recording.apart_by_design for recording in recordings)))
-    if isinstance(among, Compared) and among.left_out:
+    if isinstance(among, ComparableHashes) and among.left_out:
         notes.append(among.left_out)
     if seen is not None and not seen.complete:
         notes.append(f"changes of classes after step {seen.steps[-1]} are not shown: there are too many")

@@ -81,7 +81,7 @@ def same_slots(envs: Sequence[int]) -> tuple[tuple[int, int], ...]:
     return tuple((env, env) for env in envs)
 
 
-def told(found: Found | Missing, compared: str) -> Asked | Missing:
+def decided_alone(found: Found | Missing, compared: str) -> Asked | Missing:
     """A comparison that decides alone."""
     return found if isinstance(found, Missing) else Asked(found, compared)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import differs, opposite_signs, ulp_distance
-from gpusimbench.evaluator.metrics.levels import MAX_ULP, TOLERANCE_M, Level
+from gpusimbench.evaluator.metrics.levels import MAX_ULP, TOLERANCE_M, EqualityLevel
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.fields import StateField
@@ -76,7 +76,7 @@ class Found:
     files         of a and b
     """
 
-    level: Level
+    level: EqualityLevel
     pairs: int
     differing: int
     steps: int
@@ -90,7 +90,7 @@ class Found:
     files: tuple[Place, Place]
 
 
-def held(pairs: Pairs) -> Found | Missing:
+def compare_pairs(pairs: Pairs) -> Found | Missing:
     """Hold each pair against each other; Missing where the recordings cannot be compared by bits."""
     if why := _incomparable(pairs):
         return Missing(why)
@@ -150,15 +150,15 @@ def _measured(fields: Sequence[StateField]) -> tuple[str, dict[str, list[int]]]:
     return "", {}
 
 
-def _level(first_step: int | None, first: First | None, ulp: int, distance: float | None) -> Level:
+def _level(first_step: int | None, first: First | None, ulp: int, distance: float | None) -> EqualityLevel:
     # distance: None where none is measured, so that only ULPs tell how equal the numbers are
     if first_step is None:
-        return Level.BIT_IDENTICAL
+        return EqualityLevel.BIT_IDENTICAL
     if first is None or (distance is not None and not distance <= TOLERANCE_M):
-        return Level.DIFFERENT  # at a step whose states were not recorded, nobody knows by how much
+        return EqualityLevel.DIFFERENT  # at a step whose states were not recorded, nobody knows by how much
     if ulp <= MAX_ULP:
-        return Level.WITHIN_ULP
-    return Level.DIFFERENT if distance is None else Level.WITHIN_TOLERANCE
+        return EqualityLevel.WITHIN_ULP
+    return EqualityLevel.DIFFERENT if distance is None else EqualityLevel.WITHIN_TOLERANCE
 
 
 def _incomparable(pairs: Pairs) -> str:

@@ -14,13 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gpusimbench.evaluator.metrics.levels import Level
+from gpusimbench.evaluator.metrics.levels import EqualityLevel
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import Arms, arms_of
-from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding, first_of, same_slots, told, worst_of
-from gpusimbench.evaluator.probe.pairs import Found, Pairs, held
+from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding, decided_alone, first_of, same_slots, worst_of
+from gpusimbench.evaluator.probe.pairs import Found, Pairs, compare_pairs
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
+from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.text import bound, plural
 from gpusimbench.schemas.treatment import KINDS, Initial, Intervention
 
@@ -38,7 +39,9 @@ def left_alone(kind: str, others: str) -> Callable[[Arms], Asked | Missing]:
         envs = sorted({*range(arms.n_env)} - {*done.treated(arms.n_env)})
         if not envs:
             return Missing("needs two environments")
-        return told(held(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside {others}")
+        return decided_alone(
+            compare_pairs(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside {others}"
+        )
 
     return ask
 
@@ -52,7 +55,7 @@ def goes_on(kind: str, what: str) -> Callable[[Arms], Asked | Missing]:
             return beside
         base, recording, done = beside
         said = what.format(step=done.step, more=done.more)
-        return told(held(Pairs(base, recording, same_slots(range(arms.n_env)))), said)
+        return decided_alone(compare_pairs(Pairs(base, recording, same_slots(range(arms.n_env)))), said)
 
     return ask
 
@@ -67,7 +70,9 @@ def fresh(arms: Arms) -> Asked | Missing:
     recording, done = treated
     envs = done.treated(arms.n_env)
     pairs = Pairs(recording, arms.plain[0], same_slots(envs), ahead=done.step, first=1)
-    return told(held(pairs), f"{len(envs)} environments after a reset at step {done.step}, and fresh ones")
+    return decided_alone(
+        compare_pairs(pairs), f"{len(envs)} environments after a reset at step {done.step}, and fresh ones"
+    )
 
 
 def process(arms: Arms) -> Asked | Missing:
@@ -79,7 +84,9 @@ def process(arms: Arms) -> Asked | Missing:
     base, later = arms.continued
     step = later.configuration.first_step
     pairs = Pairs(base, later, same_slots(range(base.configuration.n_env)))
-    return told(held(pairs), f"a snapshot of step {step}, restored in another process, and the run that saved it")
+    return decided_alone(
+        compare_pairs(pairs), f"a snapshot of step {step}, restored in another process, and the run that saved it"
+    )
 
 
 def _treated(arms: Arms, kind: str) -> tuple[Recording, Intervention] | Missing:
@@ -129,6 +136,20 @@ def probed(recordings: Sequence[Recording]) -> tuple[Probed, ...]:
     return tuple(Probed(arms, answers(arms)) for arms in arms_of(recordings))
 
 
+def why_nothing_asked(recordings: Sequence[Recording]) -> str:
+    """Why recordings answer no question."""
+    if any(field.group == ENV for recording in recordings for field in recording.fields):
+        return (
+            "of recordings of tasks, gsb-probe asks only whether runs repeat, and no two of these recordings have the "
+            "same configuration; gsb-diff A B compares the environments that two recordings have in common, "
+            "gsb-episodes compares success rates"
+        )
+    failed = [recording for recording in recordings if recording.status not in ("complete", "incomplete")]
+    if recordings and len(failed) == len(recordings):
+        return f"no run ended well: {failed[0].path} is {failed[0].status}: {failed[0].reason}"
+    return "nothing to compare: gsb-probe needs runs of one configuration, or recordings that differ in one thing alone"
+
+
 def answers(arms: Arms) -> list[Finding]:
     """What the arms answer to each question."""
     noise = _runs(arms)
@@ -143,7 +164,7 @@ def _answer(question: Question, arms: Arms, varies: str, unknown: str) -> Findin
     if isinstance(asked, Missing):
         return Finding(question.key, question.title, Answer.NOT_ASKED, reason=asked.reason)
     finding = Finding(question.key, question.title, Answer.YES, *asked)
-    if asked.found.level is Level.BIT_IDENTICAL:
+    if asked.found.level is EqualityLevel.BIT_IDENTICAL:
         return finding
     if question.attributable and varies:
         return replace(finding, answer=Answer.OPEN, reason=varies)
@@ -161,7 +182,7 @@ def _runs(arms: Arms) -> Asked | Missing:
     if not arms.repeated:
         return Missing("needs two runs of the same configuration")
     found = [
-        held(Pairs(runs[0], other, same_slots(range(runs[0].configuration.n_env))))
+        compare_pairs(Pairs(runs[0], other, same_slots(range(runs[0].configuration.n_env))))
         for runs in arms.repeated
         for other in runs[1:]
     ]
@@ -169,7 +190,7 @@ def _runs(arms: Arms) -> Asked | Missing:
     asked = worst_of(
         found, f"{count} runs of {plural(len(arms.repeated), 'configuration')}, each with others of the same"
     )
-    if isinstance(asked, Missing) or asked.found.level is not Level.BIT_IDENTICAL:
+    if isinstance(asked, Missing) or asked.found.level is not EqualityLevel.BIT_IDENTICAL:
         return asked
     agreed = sum(not isinstance(one, Missing) for one in found)
     below = upper_bound_of_none(agreed)
@@ -185,8 +206,8 @@ def _envs(arms: Arms) -> Asked | Missing:
     run = arms.plain[0]
     if why := run.apart_by_design:
         return Missing(why)
-    found = held(Pairs(run, run, tuple((0, env) for env in range(1, arms.n_env))))
-    return told(found, f"environment 0 and the {arms.n_env - 1} others of a run")
+    found = compare_pairs(Pairs(run, run, tuple((0, env) for env in range(1, arms.n_env))))
+    return decided_alone(found, f"environment 0 and the {arms.n_env - 1} others of a run")
 
 
 def _numbers(arms: Arms) -> Asked | Missing:
@@ -197,7 +218,7 @@ def _numbers(arms: Arms) -> Asked | Missing:
     if not arms.by_number:
         return Missing("needs runs of other numbers of environments")
     numbers = sorted(arms.by_number)
-    found = [held(Pairs(base, arms.by_number[n], same_slots(range(min(n, arms.n_env))))) for n in numbers]
+    found = [compare_pairs(Pairs(base, arms.by_number[n], same_slots(range(min(n, arms.n_env))))) for n in numbers]
     known = [(n, one) for n, one in zip(numbers, found, strict=True) if not isinstance(one, Missing)]
     differ = [n for n, one in known if one.first_step is not None]
     listed = ", ".join(map(str, numbers))
@@ -223,7 +244,9 @@ def _slots(arms: Arms) -> Asked | Missing:
         return Missing("needs a run whose initial states are in other slots")
     shift = Initial.parse(arms.shifted.configuration.initial).shift
     pairs = tuple(((env + shift) % arms.n_env, env) for env in range(arms.n_env))
-    return told(held(Pairs(base, arms.shifted, pairs)), f"the same {_begun(arms)}, {shift} slots further")
+    return decided_alone(
+        compare_pairs(Pairs(base, arms.shifted, pairs)), f"the same {_begun(arms)}, {shift} slots further"
+    )
 
 
 def _neighbours(arms: Arms) -> Asked | Missing:
@@ -236,7 +259,7 @@ def _neighbours(arms: Arms) -> Asked | Missing:
     kept = Initial.parse(arms.but.configuration.initial).but
     assert kept is not None
     other = f"environment {kept} among neighbours of other {_begun(arms)}"
-    return told(held(Pairs(base, arms.but, ((kept, kept),))), other)
+    return decided_alone(compare_pairs(Pairs(base, arms.but, ((kept, kept),))), other)
 
 
 def _captured(arms: Arms) -> Asked | Missing:
@@ -252,7 +275,7 @@ def _captured(arms: Arms) -> Asked | Missing:
         differ = captured.hashes[at_a] != timed.hashes[at_b]
         apart = np.flatnonzero(differ.any(axis=1))
         first = int(steps[apart[0]]) if apart.size else None
-        level = Level.BIT_IDENTICAL if first is None else Level.DIFFERENT
+        level = EqualityLevel.BIT_IDENTICAL if first is None else EqualityLevel.DIFFERENT
         files = (run.path, run.path)
         found = Found(
             level, run.configuration.n_env, int(differ.any(axis=0).sum()), len(steps), first, None, 0, 0.0, 0, (), "m",
@@ -273,7 +296,7 @@ def _device(arms: Arms) -> Asked | Missing:
             continue
         for how in arms.runs.keys() & other.runs.keys():
             run, twin = arms.runs[how], other.runs[how]
-            one = held(Pairs(run, twin, same_slots(range(run.configuration.n_env))))
+            one = compare_pairs(Pairs(run, twin, same_slots(range(run.configuration.n_env))))
             if isinstance(one, Missing):
                 continue
             found.append(one)

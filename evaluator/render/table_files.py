@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from enum import StrEnum
 
 from gpusimbench.evaluator.render.document import Cell, Document, Table
+from gpusimbench.evaluator.render.formats import Format
 from gpusimbench.evaluator.render.markdown import table_markdown
 from gpusimbench.schemas.text import line, printable
 
@@ -59,15 +59,6 @@ def figure(file_name: str, caption: str) -> str:
         f"  \\includegraphics[width=\\linewidth]{{{file_name}}}\n"
         f"  \\caption{{{escape(caption)}}}\n  \\label{{fig:{file_name}}}\n\\end{{figure}}\n"
     )
-
-
-class Format(StrEnum):
-    """What tables are written as; the value is the ending of their files."""
-
-    CSV = "csv"
-    MARKDOWN = "md"
-    LATEX = "tex"
-    PARQUET = "parquet"
 
 
 def table_files(document: Document, formats: Iterable[Format]) -> dict[str, bytes]:

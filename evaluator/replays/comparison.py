@@ -15,7 +15,7 @@ from gpusimbench.evaluator.diff.settings import UNSET, differing_settings
 from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.read.episodes import Episode, EpisodeTable, episode_table, episodes, has_episodes
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.replays.verdict import Judged, Verdict, judge
+from gpusimbench.evaluator.replays.verdict import EpisodeVerdict, Judged, judge
 from gpusimbench.evaluator.statistics.cases import wilson
 from gpusimbench.schemas.errors import NothingComparable
 from gpusimbench.schemas.vector import DATA_SET
@@ -42,14 +42,14 @@ _NO_CAUSES = (
 class Share:
     """How many episodes have a verdict, and their share with Wilson's 95 % interval."""
 
-    verdict: Verdict
+    verdict: EpisodeVerdict
     episodes: int
     share: float
     ci95: tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Compared:
+class ReplayComparison:
     """A recording and its replay.
 
     original, replay  names of the files
@@ -71,12 +71,14 @@ class Compared:
     settings: tuple[Setting, ...]
     of_data_set: bool = False
 
-    def count(self, verdict: Verdict) -> int:
+    def count(self, verdict: EpisodeVerdict) -> int:
         """Episodes with that verdict."""
         return sum(one.verdict is verdict for one in self.episodes)
 
 
-def compare(original: Recording, replay: Recording, *, success: str | None, at: At, tolerance: float) -> Compared:
+def compare(
+    original: Recording, replay: Recording, *, success: str | None, at: At, tolerance: float
+) -> ReplayComparison:
     """Judge every episode of the original; see verdict.judge.
 
     success  name of the flag that says whether an episode succeeded; None where none is asked for
@@ -107,15 +109,16 @@ def compare(original: Recording, replay: Recording, *, success: str | None, at: 
     n = len(judged)
     of_data_set = original.configuration.simulator == DATA_SET
     causes = _OF_FILES if of_data_set else _CAUSES
-    return Compared(
+    return ReplayComparison(
         original=str(original.path),
         replay=str(replay.path),
         task=original.configuration.scene,
         episodes=tuple(judged),
         shares=tuple(
-            Share(verdict, counts[verdict], counts[verdict] / n, wilson(counts[verdict], n)) for verdict in Verdict
+            Share(verdict, counts[verdict], counts[verdict] / n, wilson(counts[verdict], n))
+            for verdict in EpisodeVerdict
         ),
-        began_otherwise=sum(one.verdict is not Verdict.ABSENT and not one.began_alike for one in judged),
+        began_otherwise=sum(one.verdict is not EpisodeVerdict.ABSENT and not one.began_alike for one in judged),
         settings=tuple(
             one
             for one in differing_settings(original, replay)

@@ -8,8 +8,8 @@ from gpusimbench.evaluator.diff.verdict import apart, place_of
 from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
 from gpusimbench.evaluator.render.numbers import bounds
-from gpusimbench.evaluator.replays.comparison import Compared, Share
-from gpusimbench.evaluator.replays.verdict import Judged, Verdict
+from gpusimbench.evaluator.replays.comparison import ReplayComparison, Share
+from gpusimbench.evaluator.replays.verdict import EpisodeVerdict, Judged
 from gpusimbench.schemas.text import plural
 
 _SHOWN = 12
@@ -26,16 +26,22 @@ _COLUMNS = (
     "outcome leaves",
 )
 _TONES = {
-    Verdict.IDENTICAL: Tone.GOOD,
-    Verdict.SAME: Tone.PLAIN,
-    Verdict.UNKNOWN: Tone.WARNING,
-    Verdict.OTHER: Tone.BAD,
-    Verdict.ABSENT: Tone.WARNING,
+    EpisodeVerdict.IDENTICAL: Tone.GOOD,
+    EpisodeVerdict.SAME: Tone.PLAIN,
+    EpisodeVerdict.UNKNOWN: Tone.WARNING,
+    EpisodeVerdict.OTHER: Tone.BAD,
+    EpisodeVerdict.ABSENT: Tone.WARNING,
 }
-_WORST = (Verdict.ABSENT, Verdict.OTHER, Verdict.UNKNOWN, Verdict.SAME, Verdict.IDENTICAL)
+_WORST = (
+    EpisodeVerdict.ABSENT,
+    EpisodeVerdict.OTHER,
+    EpisodeVerdict.UNKNOWN,
+    EpisodeVerdict.SAME,
+    EpisodeVerdict.IDENTICAL,
+)
 
 
-def replay_document(found: Compared, *, every: bool = False) -> Document:
+def replay_document(found: ReplayComparison, *, every: bool = False) -> Document:
     """The verdict and what it rests on.
 
     every  whether all episodes are listed; else the worst
@@ -54,7 +60,7 @@ def replay_document(found: Compared, *, every: bool = False) -> Document:
             "verdicts",
             "",
             ("", "episodes", "share", "95 %"),
-            [_share(one) for one in found.shares if one.episodes or one.verdict is not Verdict.UNKNOWN],
+            [_share(one) for one in found.shares if one.episodes or one.verdict is not EpisodeVerdict.UNKNOWN],
         )
     )
     ordered = sorted(found.episodes, key=lambda one: _WORST.index(one.verdict))
@@ -64,7 +70,7 @@ def replay_document(found: Compared, *, every: bool = False) -> Document:
         blocks.append(Text(f"{plural(left, 'more episode')}: --all shows them", Tone.QUIET))
     if told := list(warnings(found)):
         blocks.append(items(*told, tone=Tone.WARNING))
-    if found.settings and found.count(Verdict.IDENTICAL) < len(found.episodes):
+    if found.settings and found.count(EpisodeVerdict.IDENTICAL) < len(found.episodes):
         told = [f"{one.name}: {one.a}, in the replay {one.b}" for one in found.settings[:_SETTINGS]]
         if more := len(found.settings) - _SETTINGS:
             told += [f"{more} more: gsb-diff shows them"] if more > 0 else []
@@ -72,38 +78,41 @@ def replay_document(found: Compared, *, every: bool = False) -> Document:
     return Document("", tuple(blocks))
 
 
-def dump_json(found: Compared) -> str:
+def dump_json(found: ReplayComparison) -> str:
     """The document that ``gsb-replay --json`` writes."""
     return dump(document_of({**values_of(found), "warnings": list(warnings(found))}))
 
 
-def verdict(found: Compared) -> str:
+def verdict(found: ReplayComparison) -> str:
     """In a sentence."""
     n, counts = len(found.episodes), {one.verdict: one.episodes for one in found.shares}
-    if counts[Verdict.IDENTICAL] == n:
+    if counts[EpisodeVerdict.IDENTICAL] == n:
         return f"{_all(found)} bit for bit."
-    if counts[Verdict.IDENTICAL] + counts[Verdict.SAME] == n:
-        return f"{_all(found)} with the same outcome; {counts[Verdict.SAME]} with other bits."
+    if counts[EpisodeVerdict.IDENTICAL] + counts[EpisodeVerdict.SAME] == n:
+        return f"{_all(found)} with the same outcome; {counts[EpisodeVerdict.SAME]} with other bits."
     if not any(counts[one] for one in _WORDS):
         return (
-            f"{counts[Verdict.UNKNOWN]} of {plural(n, 'episode')} with other bits; the data set has neither rewards "
-            "nor success, so outcomes are not compared."
+            f"{counts[EpisodeVerdict.UNKNOWN]} of {plural(n, 'episode')} with other bits; the data set has neither "
+            "rewards nor success, so outcomes are not compared."
         )
     other = [f"{counts[one]} {words}" for one, words in _WORDS.items() if counts[one]]
     return f"Of {plural(n, 'episode')}, {' and '.join(other)}."
 
 
-_WORDS = {Verdict.OTHER: "end with another outcome in the replay", Verdict.ABSENT: "could not be replayed"}
+_WORDS = {
+    EpisodeVerdict.OTHER: "end with another outcome in the replay",
+    EpisodeVerdict.ABSENT: "could not be replayed",
+}
 
 
-def _all(found: Compared) -> str:
+def _all(found: ReplayComparison) -> str:
     n, cut = len(found.episodes), sum(one.ends[0] == "cut" for one in found.episodes)
     some = f" {cut} of them" if cut < n else ""
     as_far = f",{some} as far as recorded," if cut else ""
     return f"All {n} episodes{as_far} replay" if n > 1 else f"The episode{as_far} replays"
 
 
-def first_words(found: Compared) -> str:
+def first_words(found: ReplayComparison) -> str:
     """Where bits differ first, of the episode in which that is earliest; empty where they do not."""
     apart_at = [one for one in found.episodes if one.first is not None]
     if not apart_at:
@@ -116,14 +125,14 @@ def first_words(found: Compared) -> str:
     )
 
 
-def warnings(found: Compared) -> Iterator[str]:
+def warnings(found: ReplayComparison) -> Iterator[str]:
     """What a reader of the verdict must know, a sentence each."""
     if found.began_otherwise:
         yield (
             f"{plural(found.began_otherwise, 'episode')} began with another observation: the environment, its seed or "
             "its random numbers differ before any action, so that the actions cannot lead to the same states"
         )
-    if found.of_data_set and found.count(Verdict.IDENTICAL) < len(found.episodes):
+    if found.of_data_set and found.count(EpisodeVerdict.IDENTICAL) < len(found.episodes):
         yield "the data set does not say which versions and which machine made it; a difference there may be the reason"
     if names := dict.fromkeys(name for one in found.episodes for name in one.rounded):
         yield f"compared in float32, since one of the files holds no more digits: {', '.join(names)}"
@@ -139,7 +148,7 @@ def warnings(found: Compared) -> Iterator[str]:
         yield f"not compared: {text}"
 
 
-def _tone(found: Compared) -> Tone:
+def _tone(found: ReplayComparison) -> Tone:
     return _TONES[min((one.verdict for one in found.episodes), key=_WORST.index)]
 
 
@@ -165,9 +174,9 @@ def _row(of: Judged) -> list[Cell | str]:
         steps,
         *(
             NONE if total is None else f"{total:.6g}"
-            for total in of.returns[: 1 if of.verdict is Verdict.ABSENT else 2]
+            for total in of.returns[: 1 if of.verdict is EpisodeVerdict.ABSENT else 2]
         ),
-        *([NONE] if of.verdict is Verdict.ABSENT else []),
+        *([NONE] if of.verdict is EpisodeVerdict.ABSENT else []),
         first,
         largest,
         _left(of),

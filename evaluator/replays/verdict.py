@@ -16,7 +16,7 @@ from gpusimbench.schemas.vector import IMAGE_HASH
 REWARD = "reward"
 
 
-class Verdict(Enum):
+class EpisodeVerdict(Enum):
     """Of an episode, strongest first.
 
     IDENTICAL  every observation and reward has the same bits, and the ends are the same
@@ -47,7 +47,7 @@ class Judged:
     """An episode and its replay; step k is what the k-th action led to, step 0 the reset.
 
     env, number    of the environment, and of the episode in it, from 0
-    verdict        see Verdict
+    verdict        see EpisodeVerdict
     steps          of the original and of the replay
     returns        sums of the rewards of both [unit of the reward]; None where the original has no rewards
     ends           of both: "terminated", "truncated", or "cut" where something else ended it
@@ -63,7 +63,7 @@ class Judged:
 
     env: int
     number: int
-    verdict: Verdict
+    verdict: EpisodeVerdict
     steps: tuple[int, int]
     returns: tuple[float | None, float | None]
     ends: tuple[str, str]
@@ -113,11 +113,11 @@ def judge(original: Episode, replay: Episode | None, success: tuple[bool, bool] 
         *([] if same_success else [lengths[0]]),
     ]
     identical = compared.identical and same and not unlike
-    alike = Verdict.SAME if given or success is not None else Verdict.UNKNOWN
+    alike = EpisodeVerdict.SAME if given or success is not None else EpisodeVerdict.UNKNOWN
     return Judged(
         env=original.env,
         number=original.number,
-        verdict=Verdict.IDENTICAL if identical else alike if same else Verdict.OTHER,
+        verdict=EpisodeVerdict.IDENTICAL if identical else alike if same else EpisodeVerdict.OTHER,
         steps=lengths,
         returns=returns if given else (None, None),
         ends=ends,
@@ -134,7 +134,7 @@ def judge(original: Episode, replay: Episode | None, success: tuple[bool, bool] 
 def _absent(original: Episode) -> Judged:
     total = float(original.rewards.sum(dtype=np.float64)) if original.rewarded else None
     return Judged(
-        env=original.env, number=original.number, verdict=Verdict.ABSENT, steps=(len(original), 0),
+        env=original.env, number=original.number, verdict=EpisodeVerdict.ABSENT, steps=(len(original), 0),
         returns=(total, 0.0), ends=(_end(original), "cut"), success=None, began_alike=False, first=None,
         not_compared=(), rounded=(), largest=None, left_at=None,
     )  # fmt: skip

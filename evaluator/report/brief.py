@@ -20,7 +20,7 @@ from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, anoth
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.results.fidelity import DEMANDED, Verdict
+from gpusimbench.evaluator.results.fidelity import DEMANDED, CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
 from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
@@ -200,7 +200,7 @@ def _signs(rows: Sequence[Sequence[Cell | str]], results: Sequence[GroupResult])
 
 def _behind_a_yes(results: Sequence[GroupResult]) -> str:
     """How many checks of mechanics a yes of the table stands for; empty where no group has one."""
-    made = [r.fidelity for r in results if r.fidelity.checkable and not r.fidelity.of(Verdict.BROKEN)]
+    made = [r.fidelity for r in results if r.fidelity.checkable and not r.fidelity.of(CheckVerdict.BROKEN)]
     if not made:
         return ""
     low, high = min(f.held for f in made), max(f.held for f in made)

@@ -8,9 +8,9 @@ from typing import Any
 from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.check.rules.fact import FactType
 from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
-from gpusimbench.evaluator.check.rules.findings import Checked, Finding, Report, Unchecked
+from gpusimbench.evaluator.check.rules.findings import BrokenRule, Checked, Report, Unchecked
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
-from gpusimbench.evaluator.check.rules.rule import Level, Rule, RuleSet, Scope
+from gpusimbench.evaluator.check.rules.rule import Rule, RuleSet, Scope, Severity
 from gpusimbench.evaluator.json_values import document_of, dump, picked, plain
 from gpusimbench.evaluator.render.document import Block, Document, Facts, Item, Items, Section, Text, Tone, facts, items
 from gpusimbench.schemas import __version__
@@ -23,7 +23,7 @@ _NAMES = 3
 _RULES = 4
 """Rules that are named as not checked; of more, the number is said."""
 
-_TONES = {Level.error: Tone.BAD, Level.warning: Tone.WARNING}
+_TONES = {Severity.error: Tone.BAD, Severity.warning: Tone.WARNING}
 _COMPLETE = "complete"
 _DAMAGES = {"recording": ("cannot be read", "cannot be read"), "no-dropouts": ("has lost data", "have lost data")}
 _DAMAGED = ("is damaged", "are damaged")
@@ -48,7 +48,7 @@ def check_document(report: Report, *, every: bool = False) -> Document:
 
 
 def _verdict(report: Report) -> Text:
-    errors, warnings = report.count(Level.error), report.count(Level.warning)
+    errors, warnings = report.count(Severity.error), report.count(Severity.warning)
     counts = f"{plural(errors, 'error')}, {plural(warnings, 'warning')}"
     rules = f"(rules: {' and '.join(report.rule_sets)})"
     if report.exit_code:
@@ -65,7 +65,7 @@ def _verdict(report: Report) -> Text:
 
 def _wrong(report: Report) -> str:
     """How many files are damaged, and how many others break a rule."""
-    errors = [finding for finding in report.findings if finding.rule.level is Level.error]
+    errors = [finding for finding in report.findings if finding.rule.level is Severity.error]
     what: dict[Place, tuple[str, str]] = {}
     for finding in errors:
         if finding.rule.damage:
@@ -73,7 +73,7 @@ def _wrong(report: Report) -> str:
             for path in finding.files:
                 what[path] = said if what.get(path, said) == said else _DAMAGED
     for one in report.unchecked:
-        if one.rule.level is Level.error:
+        if one.rule.level is Severity.error:
             what.setdefault(one.file, ("cannot be checked", "cannot be checked"))
     for finding in errors:
         for path in finding.files:
@@ -99,7 +99,7 @@ def _wrong(report: Report) -> str:
 
 def _by_rule(report: Report) -> Iterator[Item]:
     """An item for each broken rule: the first finding, how many more there are, and in which files."""
-    rules: dict[str, list[Finding]] = {}
+    rules: dict[str, list[BrokenRule]] = {}
     for finding in report.findings:
         rules.setdefault(finding.rule.id, []).append(finding)
     for findings in sorted(rules.values(), key=lambda found: (found[0].rule.level.name, not found[0].rule.damage)):
@@ -181,7 +181,7 @@ def _file(file: Checked, report: Report, told: set[str]) -> Item:
     return Item(f"{file.path}: {file.status}{reason}; {plural(file.held, 'rule')} met", items=tuple(said))
 
 
-def _finding(finding: Finding, told: set[str]) -> Item:
+def _finding(finding: BrokenRule, told: set[str]) -> Item:
     rule = finding.rule
     below = [] if rule.id in told else _advice(rule)
     told.add(rule.id)
@@ -196,7 +196,7 @@ def _advice(rule: Rule) -> list[Item]:
     return [*required, Item(f"Fix: {_joined(rule.do)}")]
 
 
-def _heading(finding: Finding) -> str:
+def _heading(finding: BrokenRule) -> str:
     """What is wrong, and what was found; of a fact that is true or false the first says both."""
     rule, found = finding.rule, _joined(finding.found)
     if rule.broken:

@@ -12,7 +12,7 @@ from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.report.timed import timed_record
 from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
 from gpusimbench.evaluator.results.faults import Faults, faults
-from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.paper_tables import AtMax, Capability
 from gpusimbench.evaluator.results.ranking import Contender
@@ -58,7 +58,7 @@ def contender_record(contender: Contender) -> dict[str, Any]:
             axis.value: entry("value", found) if isinstance(found, Missing) else estimate_record(found)
             for axis, found in contender.metrics.items()
         },
-        "checks_broken": len(checked.of(Verdict.BROKEN)) if checked and checked.rows else None,
+        "checks_broken": len(checked.of(CheckVerdict.BROKEN)) if checked and checked.rows else None,
         "checks_held": checked.held if checked and checked.rows else None,
         "checks_by": checked.revision.value if checked and checked.rows else None,
         "timed": timed_record(contender.speed.timed) if contender.speed else None,

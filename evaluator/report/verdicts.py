@@ -13,7 +13,7 @@ from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.canonical import Law
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
-from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import REGIME, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
 from gpusimbench.evaluator.results.joint_metrics import BETWEEN_ENVS, BETWEEN_RUNS
@@ -124,13 +124,13 @@ def valid(results: Results) -> Cell:
 def sound(results: Results) -> Cell:
     """Whether states keep to mechanics."""
     checked = [r for r in results if r.fidelity.checkable]
-    broken = [r for r in checked if r.fidelity.of(Verdict.BROKEN)]
+    broken = [r for r in checked if r.fidelity.of(CheckVerdict.BROKEN)]
     if not checked:
         return Cell("not checked", tone=Tone.QUIET)
     if not broken:
         held, not_made = sum(r.fidelity.held for r in checked), sum(r.fidelity.not_checkable for r in checked)
         return Cell("yes", notes=(f"{plural(held, 'check')} held, {not_made} not checkable",), tone=Tone.GOOD)
-    names = dict.fromkeys(row.check.title for r in broken for row in r.fidelity.of(Verdict.BROKEN))
+    names = dict.fromkeys(row.check.title for r in broken for row in r.fidelity.of(CheckVerdict.BROKEN))
     if len(results) == 1:
         return Cell("no", notes=(f"broken: {'; '.join(names)}",), tone=Tone.BAD)
     return Cell("no", notes=(f"broken in {len(broken)} of {plural(len(checked), 'group')}",), tone=Tone.BAD)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from statistics import median
 
 from gpusimbench.evaluator.metrics.cotenants import Presence
-from gpusimbench.evaluator.metrics.levels import Level
+from gpusimbench.evaluator.metrics.levels import EqualityLevel
 from gpusimbench.evaluator.metrics.memory import MemoryModel
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.read.described import Described
@@ -119,9 +119,9 @@ def equality(metric: Estimate) -> str:
         return NONE
     details = metric.of(Equality)
     worst = details.worst
-    if metric.value == Level.DIFFERENT and worst is None and details.worst_ulp == 0:
+    if metric.value == EqualityLevel.DIFFERENT and worst is None and details.worst_ulp == 0:
         return "different, though not at the sample step"
-    if metric.value == Level.BIT_IDENTICAL and details.note:  # there are no state hashes
+    if metric.value == EqualityLevel.BIT_IDENTICAL and details.note:  # there are no state hashes
         return f"{details.text} at the sample step, no other was compared"
     return f"{details.text}, {length(worst.difference)} apart" if worst else details.text
 

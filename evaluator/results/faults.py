@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.canonical import Law
 from gpusimbench.evaluator.results.details import SunkCubes
-from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey, shown_status
 from gpusimbench.evaluator.runs.physics.facts import Check
@@ -99,7 +99,7 @@ def _sunk(result: GroupResult) -> str:
 
 
 def _broken(result: GroupResult) -> str:
-    rows = [row for row in result.fidelity.of(Verdict.BROKEN) if row.check is not Check.SANK]
+    rows = [row for row in result.fidelity.of(CheckVerdict.BROKEN) if row.check is not Check.SANK]
     titles = ", ".join(row.check.title for row in rows)
     return f"broken by {result.fidelity.revision.value}: {titles}" if rows else ""
 

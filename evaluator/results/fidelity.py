@@ -10,7 +10,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Facts, Measured, PhysicsFacts, Revision
 
 
-class Verdict(Enum):
+class CheckVerdict(Enum):
     """What a check says of a group.
 
     HELD            every value of every run that was measured is within what mechanics allows and the step accounts for
@@ -43,7 +43,7 @@ class FidelityRow:
     """
 
     check: Check
-    verdict: Verdict
+    verdict: CheckVerdict
     n_run: int
     of_runs: int
     found: Measured | None
@@ -77,19 +77,19 @@ class Fidelity:
     @property
     def held(self) -> int:
         """Checks of mechanics that hold."""
-        return len(self.of(Verdict.HELD))
+        return len(self.of(CheckVerdict.HELD))
 
     @property
     def checkable(self) -> int:
         """Checks of mechanics that could be made."""
-        return self.held + len(self.of(Verdict.BROKEN))
+        return self.held + len(self.of(CheckVerdict.BROKEN))
 
     @property
     def not_checkable(self) -> int:
         """Checks of mechanics, of all that exist, that could not be made."""
         return DEMANDED - self.checkable
 
-    def of(self, verdict: Verdict) -> tuple[FidelityRow, ...]:
+    def of(self, verdict: CheckVerdict) -> tuple[FidelityRow, ...]:
         """The rows of that verdict."""
         return tuple(row for row in self.rows if row.verdict is verdict)
 
@@ -115,7 +115,7 @@ def _row(check: Check, facts: Sequence[Facts], of_runs: int) -> FidelityRow | No
     told = [fact for fact in found if isinstance(fact, Measured)]
     reason = "; ".join(dict.fromkeys(fact.reason for fact in found if isinstance(fact, Missing)))
     if not told:
-        return FidelityRow(check, Verdict.NOT_APPLICABLE, 0, of_runs, None, reason)
+        return FidelityRow(check, CheckVerdict.NOT_APPLICABLE, 0, of_runs, None, reason)
     means = [(fact.mean, fact.count) for fact in told if fact.mean is not None]
     weight = sum(share for _, share in means)
     # runs of a group share scene and step; where rounding makes the tolerances differ, the largest is shown
@@ -132,7 +132,7 @@ def _row(check: Check, facts: Sequence[Facts], of_runs: int) -> FidelityRow | No
     return FidelityRow(check, _verdict(check, together.broken), len(told), of_runs, together, reason, notes)
 
 
-def _verdict(check: Check, broken: int) -> Verdict:
+def _verdict(check: Check, broken: int) -> CheckVerdict:
     if check.demanded:
-        return Verdict.BROKEN if broken else Verdict.HELD
-    return Verdict.MOVING if broken else Verdict.AT_REST
+        return CheckVerdict.BROKEN if broken else CheckVerdict.HELD
+    return CheckVerdict.MOVING if broken else CheckVerdict.AT_REST

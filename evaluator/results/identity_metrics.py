@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, MIN_R_SQUARED
 from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time, split_tree
-from gpusimbench.evaluator.metrics.levels import Verdict, verdict
+from gpusimbench.evaluator.metrics.levels import AxisVerdict, verdict
 from gpusimbench.evaluator.missing import Claim, Missing, why_missing
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
@@ -235,11 +235,11 @@ def _most_distinct(found: Sequence[Histories]) -> OverTime:
     return _over_time(most.steps, most.at_step, most.so_far)
 
 
-def _difference(found: Verdict) -> float:
+def _difference(found: AxisVerdict) -> float:
     return found.worst.difference if found.worst else 0.0
 
 
-def _level(metric: Metric, found: Verdict, n: int, run: int | None = None) -> Estimate:
+def _level(metric: Metric, found: AxisVerdict, n: int, run: int | None = None) -> Estimate:
     return Estimate(
         metric,
         float(found.level),

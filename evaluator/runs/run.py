@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from gpusimbench.evaluator.metrics.cotenants import CoTenants
-from gpusimbench.evaluator.metrics.levels import Verdict
+from gpusimbench.evaluator.metrics.levels import AxisVerdict
 from gpusimbench.evaluator.metrics.lost_cubes import Board
 from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory
 from gpusimbench.evaluator.missing import Missing
@@ -143,7 +143,7 @@ class Run(Described):
     joints: JointSample | Missing = NOT_MEASURED
     reached: bool = False
     doubt: UnitDoubt | None = None
-    equality: Verdict | Missing = NOT_MEASURED
+    equality: AxisVerdict | Missing = NOT_MEASURED
     spread: Spread | Missing = NOT_MEASURED
     sunk: Sunk | Missing = NOT_MEASURED
     physics: PhysicsFacts = PhysicsFacts("", 0, (), NOT_MEASURED)

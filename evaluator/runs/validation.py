@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -18,8 +18,10 @@ from gpusimbench.evaluator.runs.outcome import outcome_of, positional
 from gpusimbench.evaluator.runs.physics.measure import check_described
 from gpusimbench.evaluator.runs.positions import check_format
 from gpusimbench.schemas import checks
+from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
 from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.view.motion import Motion
 
 LONGEST_S = 1e9
@@ -73,6 +75,16 @@ def verify(recording: Recording) -> None:
     recording.check_digests()
     if recording.content_hash:
         validate(recording)
+
+
+def verified(files: Sequence[Place]) -> list[Recording]:
+    """Open recordings, and verify each; DamagedRecording for the first that is not whole."""
+    found = []
+    for path in each(files, "verifying recordings", sizes(files)):
+        recording = Recording(path)
+        verify(recording)
+        found.append(recording)
+    return found
 
 
 def validate(recording: Recording) -> None:

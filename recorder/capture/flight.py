@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.simulators.captured import States
-from gpusimbench.recorder.simulators.flight import AFTER, BEFORE, NEVER, Flight, Kind, Watch, told
+from gpusimbench.recorder.simulators.flight import AFTER, BEFORE, NEVER, Flight, Kind, Watch, step_and_kind
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import state_parts
 from gpusimbench.schemas.configuration import sim_time_ns
@@ -64,7 +64,7 @@ class FlightWriter:
         self._last_step = last_step
         new = np.flatnonzero((failures != NEVER) & ~self._failed)
         self._failed[new] = True
-        found = sorted((*told(int(failures[env])), int(env)) for env in new)
+        found = sorted((*step_and_kind(int(failures[env])), int(env)) for env in new)
         self._counts.update(kind for _, kind, _ in found)
         chosen = sorted((step, env, kind) for step, kind, env in found)[: MOST - self._chosen]
         self._chosen += len(chosen)

@@ -213,6 +213,37 @@ def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     return code
 
 
+def _record_real(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
+    with shielded():
+        from gpusimbench.recorder.scenes.registry import make_scene
+        from gpusimbench.recorder.trials.real import SAMPLE_TIME, UNITS, Target, record_tosses, record_trials
+
+    scene = make_scene(arguments.scene)
+    target = Target(arguments.out or OUT, arguments.compression, argv)
+    if scene.tosses:
+        for name in ("trials", "unit", "sample_time"):
+            if getattr(arguments, name) is not None:
+                raise UsageError(
+                    f"--{name.replace('_', '-')} is for positions from a CSV file; scene {scene.name} has --tosses"
+                )
+        path = record_tosses(scene, arguments.tosses, target)
+    else:
+        if arguments.tosses is not None:
+            raise UsageError(f"--tosses is for scene cube-toss; trials of {scene.name} are a CSV file, --trials")
+        if arguments.trials is None:
+            raise UsageError("--sim real needs --trials FILE.csv with the header trial,cube,x,y or trial,cube,x,y,z")
+        if arguments.unit is None:
+            raise UsageError(f"--sim real needs --unit {' or '.join(UNITS)}: the unit of the positions in the file")
+        sample_time = SAMPLE_TIME if arguments.sample_time is None else arguments.sample_time
+        path = record_trials(scene, arguments.trials, target, unit=arguments.unit, sample_time=sample_time)
+    if arguments.json:
+        ended = {"run": 0, "status": "complete", "cause": "", "reason": "", "file": str(path)}
+        _print_json({"runs": [ended]})
+    else:
+        show_path(path)
+    return ExitCode.OK
+
+
 def _interpreter(arguments: argparse.Namespace, simulator: str) -> Interpreter | None:
     # that makes the runs here; None with --ray, where each node finds its own
     with shielded():
@@ -356,15 +387,5 @@ def run(given: list[str]) -> int:
     if arguments.replay is not None:
         return replay(arguments, command)
     if arguments.sim == REAL:
-        with shielded():
-            from gpusimbench.recorder.trials.real import record_trials
-
-        arguments.out = arguments.out or OUT
-        path = record_trials(arguments, command)
-        if arguments.json:
-            ended = {"run": 0, "status": "complete", "cause": "", "reason": "", "file": str(path)}
-            _print_json({"runs": [ended]})
-        else:
-            show_path(path)
-        return ExitCode.OK
+        return _record_real(arguments, command)
     return record(arguments, command)

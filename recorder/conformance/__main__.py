@@ -41,7 +41,7 @@ OK, FAILED, SKIPPED = "ok", "failed", "skipped"
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CheckResult:
     """What one check found.
 
     outcome  ok, failed or skipped
@@ -61,7 +61,7 @@ class Verdict:
         return f"{self.outcome.upper() if self.outcome == FAILED else self.outcome:<7} {self.check}: {self.reason}"
 
 
-def judge(check: Check, subject: Subject) -> Verdict:
+def judge(check: Check, subject: Subject) -> CheckResult:
     """Make one check. UsageError where the adapter does not take the conformance scene or its options."""
     began = time.perf_counter()
     outcome, why = OK, ""
@@ -76,7 +76,7 @@ def judge(check: Check, subject: Subject) -> Verdict:
         raise
     except Exception as error:
         outcome, why = FAILED, f"{type(error).__name__}: {error}"
-    return Verdict(check.__name__, outcome, " ".join(why.split()), round(time.perf_counter() - began, 3))
+    return CheckResult(check.__name__, outcome, " ".join(why.split()), round(time.perf_counter() - began, 3))
 
 
 def parser() -> argparse.ArgumentParser:

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from gpusimbench.recorder import clock, interruption
 from gpusimbench.recorder.capture.samples import Sampling
@@ -76,6 +77,31 @@ class Outcome:
     reason: str
     cause: str
     path: Path
+
+
+@dataclass(frozen=True)
+class _Adapter:
+    """The adapter that a configuration names, with its options.
+
+    options  of the adapter's own type
+    """
+
+    adapter: type[Simulator]
+    configuration: RunConfiguration
+    options: Any
+
+    @classmethod
+    def chosen(cls, c: RunConfiguration, scene: Scene) -> _Adapter:
+        """Load it and set the variables that it asks for; GsbError where it is not there or refuses an option."""
+        adapter = find_simulator(c.simulator).load()
+        options = adapter.parsed(c.simulator, scene, c.options)
+        apply_environment(adapter.environment(options, c.determinism))
+        return cls(adapter, c, options)
+
+    def make(self, scene: Scene, n_env: int) -> Simulator:
+        """A simulator of a scene, not yet built."""
+        c = self.configuration
+        return self.adapter(scene, n_env=n_env, dt=c.dt, seed=c.seed, options=self.options, determinism=c.determinism)
 
 
 class Run:
@@ -173,107 +199,35 @@ class Run:
         return Interrupted(f"interrupted in phase {phase}{made}")
 
     def _run_phases(self, journal: Journal, captured: CapturePhase | FlightPhase, gpus: Gpus) -> None:
-        configuration, sink = self._configuration, journal.sink
+        configuration = self._configuration
         with interruption.shielded():  # a recording that has an end says what it is of
             interruption.install(also_ignored=True)
             interruption.expire_after(configuration.timeout)
             trouble: GsbError | None = None
             scene: Scene | None = None
-            varied: Variation | None = None
+            engine: _Adapter | None = None
             try:
                 scene = scene_of(configuration, self._inputs)
-                adapter = find_simulator(configuration.simulator).load()
-                options = adapter.parsed(configuration.simulator, scene, configuration.options)
-                apply_environment(adapter.environment(options, configuration.determinism))
+                engine = _Adapter.chosen(configuration, scene)
             except GsbError as error:
                 trouble = error  # raised once the recording says what it is of
-            provenance = replace(
-                self._provenance,
-                host=describe_host(),
-                gpus=gpus.describe(),
-                software=describe_software(),
-                environment=numeric_environment(),
-            )
-            captures = "capture" in configuration.phases and not configuration.keep
-            if captures and scene and scene.actions and describe_generator(scene.actions, configuration.seed):
-                sink.profile = GENERATED
-            sink.metadata("gsb", _summary(provenance))
-            sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
-            sink.attach(PACKAGES, "text/plain", package_list().encode())
-            if scene is not None:
-                sink.attach(SCENE, "application/json", scene.to_json().encode())
-                varied = vary.variation(configuration.vary, scene, n_env=configuration.n_env, seed=configuration.seed)
-                if varied is not None:
-                    sink.attach(VARIED, MEDIA_TYPE, vary.attachment(varied))
-            for name, data in self._inputs.items():
-                sink.attach(name, INPUTS[name], data)
-            sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
-            if configuration.view:
-                journal.shown_log = LogWriter(sink)
+            varied = self._write_origin(journal, gpus, scene)
 
-        sampling = Sampling(sink, gpus)
+        sampling = Sampling(journal.sink, gpus)
         try:
             with Phase(journal, sampling, "baseline"):
                 for problem in filter(None, (clock.problem(), *gpus.problems)):
                     journal.event("NOTE", problem)
                 sampling.checkpoint("baseline")
                 sampling.start()
-
-            if trouble or scene is None:
+            if trouble or scene is None or engine is None:
                 raise trouble or GsbError("no scene")
-            built = scene
-
-            def make(of: Scene, n_env: int) -> Simulator:
-                return adapter(
-                    of,
-                    n_env=n_env,
-                    dt=configuration.dt,
-                    seed=configuration.seed,
-                    options=options,
-                    determinism=configuration.determinism,
-                )
-
-            def new_simulator() -> Simulator:
-                simulator = make(built, configuration.n_env)
-                simulator.streams = streams_of(configuration)
-                if varied is not None:
-                    simulator.vary(varied)
-                return simulator
-
-            with Engine(new_simulator, configuration.initial, self._inputs.get(GIVEN)) as engine:
-                with Phase(journal, sampling, "init"):
-                    self._progress("init", 0, 1)
-                    description = journal.clocked("build", engine.start)
-                    self._write_description(sink, built, description)
-                    sampling.use_allocator(engine.simulator.allocator_bytes)
-                    write_imported(journal, engine.simulator)
-                    if stepped := [phase for phase in ("timed", "capture") if phase in configuration.phases]:
-                        self._progress(COMPILE, 0, 1)
-                        journal.compile(engine.simulator, stepped[0])
-                    sampling.checkpoint("post-init")
-                if "timed" in configuration.phases:
-                    warm_up_and_time(journal, sampling, engine, description, configuration, self._progress)
-                    sampling.checkpoint("final")
-                if "capture" in configuration.phases and journal.worth_capturing:
-                    if "timed" in configuration.phases:
-                        sampling.use_allocator(None)
-                        self._progress(REBUILD, 0, 1)
-                        engine.start()
-                        self._progress(COMPILE, 0, 1)
-                        journal.compile(engine.simulator, "capture")
-                    with Phase(journal, sampling, "capture"):
-                        fired, before = journal.fired, list(journal.problems)
-                        captured.run(engine.simulator, description)
-                        if fired and all(gate[0] != "NOT_FINITE" for gate in journal.problems if gate not in before):
-                            journal.gate(_too_short(configuration), "NOT_FINITE")
-                if "timed" not in configuration.phases:
-                    sampling.checkpoint("final")
-                sampling.drain()
-            if "import" in configuration.phases and isinstance(built, ModelScene) and not journal.fired:
+            self._step(journal, captured, sampling, scene, engine, varied)
+            if "import" in configuration.phases and isinstance(scene, ModelScene) and not journal.fired:
                 sampling.use_allocator(None)
                 self._progress("import", 0, 1)
                 with Phase(journal, sampling, "import"):
-                    write_trials(journal, built, make, dt=configuration.dt, seed=configuration.seed)
+                    write_trials(journal, scene, engine.make, dt=configuration.dt, seed=configuration.seed)
         except DataLost:
             sampling.stop()  # the file takes nothing more
             raise
@@ -281,6 +235,79 @@ class Run:
             _end_sampling(journal, sampling)
             raise
         _end_sampling(journal, sampling)
+
+    def _write_origin(self, journal: Journal, gpus: Gpus, scene: Scene | None) -> Variation | None:
+        """Write what the recording is of, as far as that is known; returns how its environments differ."""
+        configuration, sink = self._configuration, journal.sink
+        provenance = replace(
+            self._provenance,
+            host=describe_host(),
+            gpus=gpus.describe(),
+            software=describe_software(),
+            environment=numeric_environment(),
+        )
+        captures = "capture" in configuration.phases and not configuration.keep
+        if captures and scene and scene.actions and describe_generator(scene.actions, configuration.seed):
+            sink.profile = GENERATED
+        sink.metadata("gsb", _summary(provenance))
+        sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
+        sink.attach(PACKAGES, "text/plain", package_list().encode())
+        varied: Variation | None = None
+        if scene is not None:
+            sink.attach(SCENE, "application/json", scene.to_json().encode())
+            varied = vary.variation(configuration.vary, scene, n_env=configuration.n_env, seed=configuration.seed)
+            if varied is not None:
+                sink.attach(VARIED, MEDIA_TYPE, vary.attachment(varied))
+        for name, data in self._inputs.items():
+            sink.attach(name, INPUTS[name], data)
+        sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
+        if configuration.view:
+            journal.shown_log = LogWriter(sink)
+        return varied
+
+    def _step(
+        self, journal: Journal, captured: CapturePhase | FlightPhase, sampling: Sampling, scene: Scene,
+        adapter: _Adapter, varied: Variation | None,
+    ) -> None:  # fmt: skip
+        """Build the simulator and step it: the phases from init to capture."""
+        configuration = self._configuration
+
+        def new_simulator() -> Simulator:
+            simulator = adapter.make(scene, configuration.n_env)
+            simulator.streams = streams_of(configuration)
+            if varied is not None:
+                simulator.vary(varied)
+            return simulator
+
+        with Engine(new_simulator, configuration.initial, self._inputs.get(GIVEN)) as engine:
+            with Phase(journal, sampling, "init"):
+                self._progress("init", 0, 1)
+                description = journal.clocked("build", engine.start)
+                self._write_description(journal.sink, scene, description)
+                sampling.use_allocator(engine.simulator.allocator_bytes)
+                write_imported(journal, engine.simulator)
+                if stepped := [phase for phase in ("timed", "capture") if phase in configuration.phases]:
+                    self._progress(COMPILE, 0, 1)
+                    journal.compile(engine.simulator, stepped[0])
+                sampling.checkpoint("post-init")
+            if "timed" in configuration.phases:
+                warm_up_and_time(journal, sampling, engine, description, configuration, self._progress)
+                sampling.checkpoint("final")
+            if "capture" in configuration.phases and journal.worth_capturing:
+                if "timed" in configuration.phases:
+                    sampling.use_allocator(None)
+                    self._progress(REBUILD, 0, 1)
+                    engine.start()
+                    self._progress(COMPILE, 0, 1)
+                    journal.compile(engine.simulator, "capture")
+                with Phase(journal, sampling, "capture"):
+                    fired, before = journal.fired, list(journal.problems)
+                    captured.run(engine.simulator, description)
+                    if fired and all(gate[0] != "NOT_FINITE" for gate in journal.problems if gate not in before):
+                        journal.gate(_too_short(configuration), "NOT_FINITE")
+            if "timed" not in configuration.phases:
+                sampling.checkpoint("final")
+            sampling.drain()
 
     def _write_description(self, sink: Sink, scene: Scene, description: Description) -> None:
         timed = "timed" in self._configuration.phases

@@ -13,7 +13,7 @@ from typing import Any
 from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.sets.sweep import Outcome, Place
 from gpusimbench.schemas import PARTIAL, topics
-from gpusimbench.schemas.commands.folder_lock import held
+from gpusimbench.schemas.commands.folder_lock import folder_lock
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError
 from gpusimbench.schemas.mcap.reader import Container
@@ -158,7 +158,7 @@ def locked(folder: Path, wanted: RunConfiguration, where: str) -> AbstractContex
 
     GsbError where another process holds it, which the message names.
     """
-    return held(folder, f"gsb-sweep-{_key(wanted, where)}", "makes this sweep")
+    return folder_lock(folder, f"gsb-sweep-{_key(wanted, where)}", "makes this sweep")
 
 
 def _key(wanted: RunConfiguration, where: str) -> str:

@@ -78,7 +78,7 @@ def failure(step: int, kind: Kind) -> int:
     return step * len(Kind) + kind
 
 
-def told(failure: int) -> tuple[int, Kind]:
+def step_and_kind(failure: int) -> tuple[int, Kind]:
     """Step and kind of a failure."""
     return failure // len(Kind), Kind(failure % len(Kind))
 

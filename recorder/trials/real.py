@@ -7,7 +7,6 @@ was not measured is not there.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import io
 import json
@@ -26,7 +25,6 @@ from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.plan import MIN_DT, prepare_folder, release, reserve, utc_now
 from gpusimbench.recorder.probes.software import describe_software
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.trials.tosses import VARIABLE, read_tosses
 from gpusimbench.schemas import topics
@@ -39,7 +37,8 @@ from gpusimbench.schemas.tosses import GROUP, TOSSES
 from gpusimbench.schemas.trial_units import METRES, extent_of, unit_doubt
 
 _GROUP = "cubes"
-_SAMPLE_TIME = 5.0
+SAMPLE_TIME = 5.0
+"""At which trials were measured, unless the user says otherwise [s]."""
 
 COLUMNS = ("trial", "cube", "x", "y")
 HEIGHT = "z"
@@ -51,64 +50,71 @@ _NOTES = {
 }
 
 
-def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> Path:
-    """Write one recording from a CSV file, or of tosses; returns its path. Nothing is written unless every row is
-    good."""
-    scene = make_scene(arguments.scene)
-    if scene.tosses:
-        return record_tosses(arguments, argv, scene)
-    if arguments.tosses is not None:
-        raise UsageError(f"--tosses is for scene cube-toss; trials of {scene.name} are a CSV file, --trials")
-    if arguments.trials is None:
-        raise UsageError("--sim real needs --trials FILE.csv with the header trial,cube,x,y or trial,cube,x,y,z")
-    if arguments.unit is None:
-        raise UsageError(f"--sim real needs --unit {' or '.join(UNITS)}: the unit of the positions in the file")
-    if arguments.sample_time is None:
-        arguments.sample_time = _SAMPLE_TIME
-    if not MIN_DT <= arguments.sample_time < float("inf"):
-        raise UsageError(f"--sample-time is a time in seconds, at least {MIN_DT:g}, not {arguments.sample_time}")
+@dataclass(frozen=True)
+class Target:
+    """Where and how trials are recorded.
+
+    out   folder
+    argv  the user's command
+    """
+
+    out: Path
+    compression: str
+    argv: tuple[str, ...]
+
+
+def record_trials(scene: Scene, path: Path, target: Target, *, unit: str, sample_time: float = SAMPLE_TIME) -> Path:
+    """Write one recording from a CSV file; returns its path. Nothing is written unless every row is good.
+
+    unit         of the positions in the file, of UNITS
+    sample_time  at which they were measured [s]
+
+    UsageError where the file or the scene has no such trials.
+    """
+    if not MIN_DT <= sample_time < float("inf"):
+        raise UsageError(f"--sample-time is a time in seconds, at least {MIN_DT:g}, not {sample_time}")
     try:
-        data = arguments.trials.read_bytes()
+        data = path.read_bytes()
         text = data.decode("utf-8")
     except OSError as error:
-        raise UsageError(f"cannot read {arguments.trials}: {error.strerror}") from None
+        raise UsageError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise UsageError(f"{arguments.trials} is not a text file in UTF-8") from None
+        raise UsageError(f"{path} is not a text file in UTF-8") from None
     cubes = scene.groups().get(_GROUP, ())
     if not cubes:
         raise UsageError(f"scene {scene.name} has no {_GROUP} to measure")
     try:
-        trials = parse_trials(text, unit=arguments.unit, cubes=len(cubes))
+        trials = parse_trials(text, unit=unit, cubes=len(cubes))
     except UsageError as error:
-        raise UsageError(f"{arguments.trials}: {error}") from None
+        raise UsageError(f"{path}: {error}") from None
 
     extent = extent_of(json.loads(scene.to_json()), _GROUP)
-    doubt = unit_doubt(trials.positions, arguments.unit, trials.names, extent) if extent else None
+    doubt = unit_doubt(trials.positions, unit, trials.names, extent) if extent else None
     if doubt and doubt.wrong:
-        raise UsageError(f"{arguments.trials}: {doubt.text}")
+        raise UsageError(f"{path}: {doubt.text}")
     if doubt:
-        say(f"gsb-record: warning: {arguments.trials}: {doubt.text}")
+        say(f"gsb-record: warning: {path}: {doubt.text}")
 
     configuration = RunConfiguration(
         simulator=REAL,
         scene=scene.name,
         n_env=len(trials.names),
-        dt=arguments.sample_time,
+        dt=sample_time,
         steps=1,
         warmup=0,
         timed_steps=0,
         phases=("capture",),
-        compression=arguments.compression,
-        options={"unit": arguments.unit},
+        compression=target.compression,
+        options={"unit": unit},
     )
     kind = FIELD_KINDS["position"]
     field = StateField(
         _GROUP, "position", "float64", cubes, trials.components, kind.unit, "env",
         note="measured; step 1 is the time of the measurement",
     )  # fmt: skip
-    options = {"unit": arguments.unit, "trials": list(trials.names)}
+    options = {"unit": unit, "trials": list(trials.names)}
     simulation = _measured(scene, (field,), "each trial was set up anew", options=options, parameters={})
-    with _new_recording(arguments.out, configuration, argv, scene, simulation) as sink:
+    with _new_recording(target, configuration, scene, simulation) as sink:
         sink.attach(TRIALS, "text/csv", data)
         _write_field(sink, configuration, field, trials.positions[np.newaxis], first_step=1)
         sink.finish("COMPLETE", "", last_step=1, peak_rss_bytes=0)
@@ -211,14 +217,12 @@ def _number(cell: str, row: int, column: str) -> float:
     return value
 
 
-def record_tosses(arguments: argparse.Namespace, argv: tuple[str, ...], scene: Scene) -> Path:
-    """Write the recording of a set of tosses; returns its path."""
-    for name in ("trials", "unit", "sample_time"):
-        if getattr(arguments, name) is not None:
-            raise UsageError(
-                f"--{name.replace('_', '-')} is for positions from a CSV file; scene {scene.name} has --tosses"
-            )
-    tosses = read_tosses(arguments.tosses)
+def record_tosses(scene: Scene, path: Path | None, target: Target) -> Path:
+    """Write the recording of a set of tosses; returns its path.
+
+    path  of the set; None: as of read_tosses
+    """
+    tosses = read_tosses(path)
     configuration = RunConfiguration(
         simulator=REAL,
         scene=scene.name,
@@ -228,11 +232,11 @@ def record_tosses(arguments: argparse.Namespace, argv: tuple[str, ...], scene: S
         warmup=0,
         timed_steps=0,
         phases=("capture",),
-        compression=arguments.compression,
+        compression=target.compression,
     )
     fields = body_fields({GROUP: scene.groups()[GROUP]}, "float64", _NOTES)
     simulation = _measured(scene, fields, "each toss was thrown anew", options={}, parameters=scene.parameters)
-    with _new_recording(arguments.out, configuration, argv, scene, simulation) as sink:
+    with _new_recording(target, configuration, scene, simulation) as sink:
         sink.attach(TOSSES, "application/json", tosses.known.to_json().encode())
         if tosses.notice:
             sink.attach("LICENSE", "text/plain", tosses.notice.encode())
@@ -246,7 +250,7 @@ def record_tosses(arguments: argparse.Namespace, argv: tuple[str, ...], scene: S
     say(f"{len(tosses)} tosses: {tosses.known.source}")
     if not tosses.synthetic and not tosses.notice:
         say("no LICENSE lies beside the tosses: it has to travel with every copy of the data, this recording too")
-    if tosses.synthetic and arguments.tosses is None:
+    if tosses.synthetic and path is None:
         say(f"these are not measured; --tosses PATH, or {VARIABLE}, names the measured set (docs/how-to/cube-toss.md)")
     return sink.path
 
@@ -269,13 +273,13 @@ def _measured(
 
 @contextmanager
 def _new_recording(
-    out: Path, configuration: RunConfiguration, argv: tuple[str, ...], scene: Scene, simulation: Simulation
+    target: Target, configuration: RunConfiguration, scene: Scene, simulation: Simulation
 ) -> Iterator[Sink]:
     """A recording of trials that is being written; on an error nothing remains, but for data that was lost."""
-    prepare_folder(out)
+    prepare_folder(target.out)
     created = utc_now()
-    provenance = Provenance(str(uuid.uuid4()), created, argv, configuration, software=describe_software())
-    path = reserve(out, configuration, created)
+    provenance = Provenance(str(uuid.uuid4()), created, target.argv, configuration, software=describe_software())
+    path = reserve(target.out, configuration, created)
     try:
         sink = Sink(path, compression=configuration.compression, reserved=True)
         try:

@@ -39,7 +39,7 @@ def given(info: Mapping[str, Any], name: str, n_env: int) -> NDArray[np.bool_]:
     return _scalar(info, name, n_env)[1]
 
 
-def told(
+def info_arrays(
     names: tuple[str, ...], info: Mapping[str, Any], mode: Mode, done: NDArray[np.bool_], stepped: NDArray[np.bool_]
 ) -> Arrays:
     """What a call of step said of the steps that it made: for each name its numbers and whether they were given, [env].

@@ -16,7 +16,7 @@ from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.rows import check_envs
 from gpusimbench.recorder.vector.ending import Ending, Hashes
 from gpusimbench.recorder.vector.fields import NO_STEP, NOT_GIVEN, Images, fields_of, recorded_dtype
-from gpusimbench.recorder.vector.infos import array_name, nothing_told, told
+from gpusimbench.recorder.vector.infos import array_name, info_arrays, nothing_told
 from gpusimbench.recorder.vector.modes import Ledger, Mode, final_name, five, mode_of, with_final
 from gpusimbench.recorder.vector.origin import origin_of, seed_of
 from gpusimbench.schemas.errors import UsageError
@@ -207,7 +207,7 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
                 array[began] = 0
         made = ~began
         of_step = {"reward": on_host(reward, "reward", copy=False), **flags, "stepped": made}
-        of_info = told(self._infos, info, self._mode, done, made)
+        of_info = info_arrays(self._infos, info, self._mode, done, made)
         self._put(self._filled, {**given, **seen, **self._states(), **of_step, **last, **self._counts(), **of_info})
         self._filled += 1
         self._made += 1

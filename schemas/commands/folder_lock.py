@@ -27,7 +27,7 @@ _MOST_BYTES = 4096  # of the holder's word
 
 
 @contextmanager
-def held(folder: Path, name: str, doing: str) -> Iterator[None]:
+def folder_lock(folder: Path, name: str, doing: str) -> Iterator[None]:
     """Hold a lock of this name on a folder, which is made where it is missing, while the block runs.
 
     doing  what its holder does, in words that end a sentence's subject: "makes this sweep"

@@ -30,7 +30,7 @@ from gpusimbench.evaluator.audit.distribution import (
 )
 from gpusimbench.evaluator.audit.matching import closest
 from gpusimbench.evaluator.audit.replaying import ReplayPlan
-from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
+from gpusimbench.evaluator.audit.verdict import AuditLevel, Match, ladder
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.provenance import SIMULATION
 from tests.conftest import call, distribution, wait_for
@@ -317,18 +317,18 @@ def test_the_verdict_is_the_strongest_that_holds(match: Match, law: LawTest | st
     """Keep the ladder's own order: nothing above the verdict holds, everything below follows."""
     verdict = ladder([match], lambda: law, max_ulps=4, originals=1)
     holds = {rung.level: rung.holds for rung in verdict.rungs}
-    assert list(holds) == list(Level)[:4]
-    if verdict.level is Level.DIFFERENT:
-        assert holds[Level.SAME_DISTRIBUTION] is False
+    assert list(holds) == list(AuditLevel)[:4]
+    if verdict.level is AuditLevel.DIFFERENT:
+        assert holds[AuditLevel.SAME_DISTRIBUTION] is False
         assert True not in holds.values()
     elif verdict.level is None:
-        assert holds[Level.SAME_DISTRIBUTION] is None
+        assert holds[AuditLevel.SAME_DISTRIBUTION] is None
         assert True not in holds.values()
     else:
         held = [level for level, held in holds.items() if held]
         assert held == [level for level in holds if verdict.level.reaches(level)]
-    assert (verdict.level is Level.BIT_IDENTICAL) == match.bit_identical
-    for required in list(Level)[:4]:
+    assert (verdict.level is AuditLevel.BIT_IDENTICAL) == match.bit_identical
+    for required in list(AuditLevel)[:4]:
         held = [holds[level] for level in holds if level.reaches(required)]
         assert verdict.meets(required) is (True if True in held else None if None in held else False)
 
@@ -341,7 +341,7 @@ def test_all_replays_count() -> None:
         for matches in ((same, same), (same, near), (same, reversed_), (near, reversed_), (near, Match(False, None, 9)))
     ]
     assert levels == [
-        Level.BIT_IDENTICAL, Level.WITHIN_ULPS, Level.SAME_UP_TO_ENV_ORDER, Level.WITHIN_ULPS, None
+        AuditLevel.BIT_IDENTICAL, AuditLevel.WITHIN_ULPS, AuditLevel.SAME_UP_TO_ENV_ORDER, AuditLevel.WITHIN_ULPS, None
     ]  # fmt: skip
 
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.audit.audit import Audit, Outcome, held
+from gpusimbench.evaluator.audit.audit import Audit, Outcome, judge_replays
 from gpusimbench.evaluator.audit.checking import Check
 from gpusimbench.evaluator.audit.distribution import LawTest, Unit
-from gpusimbench.evaluator.audit.matching import Settings, sorted_out
+from gpusimbench.evaluator.audit.matching import DifferingSettings, sorted_out
 from gpusimbench.evaluator.audit.replaying import Replays
 from gpusimbench.evaluator.audit.sections import audit_document
-from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
+from gpusimbench.evaluator.audit.verdict import AuditLevel, Match, ladder
 from gpusimbench.evaluator.compute.recorder import Made
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Setting
@@ -142,7 +142,7 @@ def test_a_replay_that_differs_is_the_one_shown(five: list[Recording]) -> None:
     """Show what differs, whichever of the replays it is, and the sameness where all are the same."""
     same, other = five[1], five[4]
     for found, alike in (((same, other), False), ((other, same), False), ((same, five[2]), True)):
-        audit = held((five[0],), made(list(found)), found, max_ulps=4)
+        audit = judge_replays((five[0],), made(list(found)), found, max_ulps=4)
         assert audit.difference is not None
         assert audit.difference.bit_identical is alike
         assert audit.distinct == ((1, 1, 1) if alike else (1, 2, 2))
@@ -155,7 +155,7 @@ def test_an_original_that_did_not_come_out_again(five: list[Recording]) -> None:
         ((five[0], five[4]), [None] * 4, "Re-execution gives the same bits as far as compared; not everything was"),
         ((five[4],), [False, False, False, None], "Re-execution gives other bits; undecided whether of the same"),
     ):
-        audit = held(originals, made(five[1:2]), (five[1],), max_ulps=4)
+        audit = judge_replays(originals, made(five[1:2]), (five[1],), max_ulps=4)
         assert audit.verdict is not None
         assert [rung.holds for rung in audit.verdict.rungs] == rungs
         assert lines(audit)[0].startswith(said)
@@ -164,16 +164,16 @@ def test_an_original_that_did_not_come_out_again(five: list[Recording]) -> None:
 def test_settings_are_cut_and_counted(five: list[Recording]) -> None:
     """Cut a value of more than 60 characters to 60, list all settings of a difference, and count packages."""
     same, other = compare(five[0], five[1]), compare(five[0], five[4])
-    settings = Settings((Setting("engine.cone", "a" * 60, "b" * 61),), 3)
+    settings = DifferingSettings((Setting("engine.cone", "a" * 60, "b" * 61),), 3)
     differing = lines(Audit((five[0],), made(five[4:]), (five[4],), other, settings), every=True)
     assert f"engine.cone | {'a' * 60} | {'b' * 57}..." in differing
     assert "settings: 1 differs: engine.cone; and 3 other installed packages" in differing
     equal = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, settings))
     assert "settings: 1 differs, although the bits are the same: engine.cone; and 3 other installed packages" in equal
     assert not any("|" in line for line in equal)
-    none = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, Settings((), 3)))
+    none = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, DifferingSettings((), 3)))
     assert "settings: the same but for 3 other installed packages" in none
-    many = Settings(tuple(Setting(f"environment.NAME_{number}", "a", "b") for number in range(20)))
+    many = DifferingSettings(tuple(Setting(f"environment.NAME_{number}", "a", "b") for number in range(20)))
     audit = Audit((five[0],), made(five[1:2]), (five[1],), same, many)
     named = "environment.NAME_0, environment.NAME_1, environment.NAME_2, environment.NAME_3 and 16 more"
     assert f"settings: 20 differ, although the bits are the same: {named}" in lines(audit)
@@ -213,8 +213,8 @@ def test_what_has_no_verdict_says_why(five: list[Recording]) -> None:
     assert {"refused:", "gsb-record"} <= set(lines(outcomes[Outcome.REFUSED]))
     assert {"run here:", "gsb-record"} <= set(lines(outcomes[Outcome.FAILED]))
     assert lines(replace(nothing, replays=invalid))[0].startswith("A replay is invalid, and the recording is not (diff")
-    assert replace(nothing, replays=invalid).meets(Level.DIFFERENT) is False
-    assert nothing.meets(Level.SAME_DISTRIBUTION) is None
+    assert replace(nothing, replays=invalid).meets(AuditLevel.DIFFERENT) is False
+    assert nothing.meets(AuditLevel.SAME_DISTRIBUTION) is None
 
 
 def said(*matches: Match, law: LawTest | str = "no positions", originals: int = 1) -> list[str]:
@@ -235,7 +235,7 @@ def test_replays_of_a_rung_are_counted() -> None:
     turned_over = replace(far, signs_differ=True)
     assert said(turned_over)[2] == "numbers have opposite signs over 6 recorded steps; 4 ULP are allowed"
     assert said(replace(near, steps=0))[2] == "largest distance 3 ULP; 4 are allowed"
-    assert ladder([replace(near, max_ulp=4)], lambda: "", max_ulps=4, originals=1).level is Level.WITHIN_ULPS
+    assert ladder([replace(near, max_ulp=4)], lambda: "", max_ulps=4, originals=1).level is AuditLevel.WITHIN_ULPS
     assert said(turned)[2] == "follows from same-up-to-env-order"
 
 
@@ -261,7 +261,7 @@ def test_the_test_of_one_law_in_words(law: LawTest, expected: str) -> None:
 def test_missing_runs_have_a_price(five: list[Recording]) -> None:
     """Say how long the runs would take that the test asks for, from the time that the replays took."""
     replays = replace(made([five[4]] * 2), seconds=128.0)
-    verdict = held((five[0],), replays, (five[4], five[4]), max_ulps=4).verdict
+    verdict = judge_replays((five[0],), replays, (five[4], five[4]), max_ulps=4).verdict
     assert verdict is not None and verdict.level is None
     assert verdict.rungs[-1].said.endswith("give --runs 19 (about 20 min 16 s on this machine)")
 
@@ -283,4 +283,4 @@ def test_packages_that_compute_decide() -> None:
     packages = tuple(Setting(f"software.packages.{name}", "1", "2") for name in names)
     others = tuple(Setting(name, "1", "2") for name in ("compression", "timeout", "host.cpu"))
     found = sorted_out((*packages, *others), original, replay)  # type: ignore[arg-type]
-    assert found == Settings((*packages[:2], others[2]), 2)
+    assert found == DifferingSettings((*packages[:2], others[2]), 2)

@@ -24,7 +24,7 @@ from gpusimbench.evaluator.bisect.environment import (
     releases,
     with_options,
 )
-from gpusimbench.evaluator.bisect.predicates import Verdict, first_number, predicate_of
+from gpusimbench.evaluator.bisect.predicates import ReleaseVerdict, first_number, predicate_of
 from gpusimbench.evaluator.compute.recorder import about
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.read.recording import Recording
@@ -104,7 +104,7 @@ def _shipped(name: str) -> list[Recording]:
 def test_states() -> None:
     """Tell recordings whose states differ from those whose states do not, and say by how much."""
     judge = predicate_of("states")
-    assert judge(_shipped("amd-r0"), _shipped("amd-r1")) == Verdict(False, "all states are bit-identical")
+    assert judge(_shipped("amd-r0"), _shipped("amd-r1")) == ReleaseVerdict(False, "all states are bit-identical")
     found = judge(_shipped("amd-r0"), _shipped("pyramidal-r0"))
     assert found.different
     assert found.evidence.startswith("from step 1 on; bodies up to ")
@@ -145,7 +145,7 @@ def test_a_command(code: int, different: bool | None) -> None:
     """Take the exit code of a command for its answer, and the last line that it prints for the evidence."""
     text = f"""sh -c 'echo first; echo "$(basename $0) $(basename $1)"; exit {code}'"""
     found = predicate_of(text)(_shipped("amd-r0"), _shipped("amd-r1"))
-    assert found == Verdict(different, "recordings recordings")
+    assert found == ReleaseVerdict(different, "recordings recordings")
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,8 @@ def _found(**other: object) -> Bisection:
     changed = (Setting("mujoco", "1", "2"), Setting("mujoco-core", "(not set)", "2"), Setting("numpy", "2.0", "2.1"))
     given = {
         "package": "mujoco", "simulator": "mujoco", "scene": "franka", "predicate": "states", "options": (),
-        "versions": ("1", "1.5", "2"), "tested": {"1.5": Verdict(False, "same"), "2": Verdict(True, "step 1")},
+        "versions": ("1", "1.5", "2"),
+        "tested": {"1.5": ReleaseVerdict(False, "same"), "2": ReleaseVerdict(True, "step 1")},
         "files": {}, "same": "1.5", "different": "2", "skipped": (), "step": "step 3", "first": "step 3, x",
         "packages": changed,
         "settings": (),
@@ -200,7 +201,7 @@ def test_several_packages_changed(capsys: pytest.CaptureFixture[str]) -> None:
 def test_one_run_of_an_engine_that_nothing_shows_to_repeat_itself() -> None:
     """Say that runs of one release may differ as well, unless two runs, or two releases, have the same states."""
     told = "Whether runs of one release differ as well is not known: --runs 2 tells."
-    differing = {"1.5": Verdict(True, "step 1"), "2": Verdict(True, "step 1")}
+    differing = {"1.5": ReleaseVerdict(True, "step 1"), "2": ReleaseVerdict(True, "step 1")}
     once = dict.fromkeys(("1", "1.5", "2"), ("a.mcap",))
     assert told in verdict_of(_found(tested=differing, files=once, same="1", different="1.5"))
     twice = dict.fromkeys(once, ("a.mcap", "b.mcap"))

@@ -19,7 +19,7 @@ from gpusimbench.evaluator.check.rules.fact import Unknown
 from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS, applies, fact_of
 from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
-from gpusimbench.evaluator.check.rules.rule import SHIPPED, Level, Scope, load_rules, parse_rules
+from gpusimbench.evaluator.check.rules.rule import SHIPPED, Scope, Severity, load_rules, parse_rules
 from gpusimbench.evaluator.cli.check import main
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
@@ -65,10 +65,10 @@ def test_a_set_that_follows_the_protocol() -> None:
     report = check(files, [load_rules("integrity-1"), PROTOCOL])
     assert len(files) == 10
     assert report.exit_code == ExitCode.OK
-    assert report.count(Level.error) == 0
+    assert report.count(Severity.error) == 0
     assert report.unchecked == ()
     fewer = check(files[:9], [PROTOCOL])
-    assert [(f.rule.id, f.found) for f in fewer.findings if f.rule.level is Level.error] == [
+    assert [(f.rule.id, f.found) for f in fewer.findings if f.rule.level is Severity.error] == [
         ("runs", "9 of 9 files counted, 10 are needed")
     ]
     assert fewer.exit_code == ExitCode.GATE_FAILED

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.audit import matching
 from gpusimbench.evaluator.audit.distribution import LawTest
-from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
+from gpusimbench.evaluator.audit.verdict import AuditLevel, Match, ladder
 from gpusimbench.evaluator.compare.finding import Change
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.metrics.levels import verdict
@@ -23,7 +23,7 @@ from gpusimbench.evaluator.report import verdicts, words
 from gpusimbench.evaluator.report.sections.mechanics import cells
 from gpusimbench.evaluator.results import identity_metrics as identity
 from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
-from gpusimbench.evaluator.results.fidelity import Verdict, fidelity
+from gpusimbench.evaluator.results.fidelity import CheckVerdict, fidelity
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.identity_metrics import identical
 from gpusimbench.evaluator.results.metric import Estimate, missing
@@ -169,13 +169,13 @@ def test_the_ladder_of_an_audit(parts: list[bool | None], left_out: list[str], u
     ]
     found = ladder(matches, _no_test, max_ulps=4, originals=1)
     whole = bool(parts) and not any(left_out[: len(parts)])
-    assert (found.level is Level.BIT_IDENTICAL) == (whole and all(part is True for part in parts))
-    if found.level in (Level.SAME_UP_TO_ENV_ORDER, Level.WITHIN_ULPS):
+    assert (found.level is AuditLevel.BIT_IDENTICAL) == (whole and all(part is True for part in parts))
+    if found.level in (AuditLevel.SAME_UP_TO_ENV_ORDER, AuditLevel.WITHIN_ULPS):
         assert whole
-        assert found.level is Level.WITHIN_ULPS or None not in parts
+        assert found.level is AuditLevel.WITHIN_ULPS or None not in parts
     if not parts:
         assert found.level is None
-        assert found.meets(Level.WITHIN_ULPS) is None
+        assert found.meets(AuditLevel.WITHIN_ULPS) is None
 
 
 @given(STATES, STATES)
@@ -215,8 +215,8 @@ def test_checks_of_mechanics(parts: list[bool | None]) -> None:
 
     found = fidelity("group", [facts(part) for part in parts])
     told = [part for part in parts if part is not None]
-    assert bool(found.of(Verdict.HELD)) == (bool(told) and all(told))
-    for row in found.of(Verdict.HELD):
+    assert bool(found.of(CheckVerdict.HELD)) == (bool(told) and all(told))
+    for row in found.of(CheckVerdict.HELD):
         assert ("measured in" in cells(row)[-1]) == (None in parts)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from gpusimbench.evaluator.compare import document
-from gpusimbench.evaluator.compare.compare import Compared, Result
+from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result
 from gpusimbench.evaluator.compare.document import comment, full, short
 from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
 from gpusimbench.evaluator.compare.numbers import Schedule
@@ -26,15 +26,15 @@ def finding(change: Change, name: str, axis: Axis = Axis.THROUGHPUT, **more: Any
     return Finding(axis, name, name, change, Direction.HIGHER, **more)
 
 
-def configuration(label: str, *findings: Finding, warnings: Sequence[str] = (), **pair: Any) -> Compared:
+def configuration(label: str, *findings: Finding, warnings: Sequence[str] = (), **pair: Any) -> ComparedConfiguration:
     """A configuration of that label, with two runs a side that were made in turn."""
     group = SimpleNamespace(key=SimpleNamespace(n_env=4, scene="cart", dt=0.01))
     given: Any = SimpleNamespace(**{"label": label, "base": group, "head": group, "differs": (), **pair})
     order = Schedule((), (False, True, False, True), (0, 0, 1, 1), known=True)
-    return Compared(given, order, findings, tuple(warnings), ())
+    return ComparedConfiguration(given, order, findings, tuple(warnings), ())
 
 
-def result(*compared: Compared, notes: Sequence[str] = ()) -> Result:
+def result(*compared: ComparedConfiguration, notes: Sequence[str] = ()) -> Result:
     """A comparison of these configurations."""
     return Result(compared, (), (), SETTINGS, 0, 0, tuple(notes))
 

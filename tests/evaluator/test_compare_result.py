@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from gpusimbench.evaluator.compare import words
-from gpusimbench.evaluator.compare.compare import Compared, Result
+from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result
 from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
 from gpusimbench.evaluator.compare.words import TITLES, cells, verdict
 from gpusimbench.evaluator.results.metric import Axis, Direction
@@ -33,7 +33,7 @@ def runs_ended(change: Change = Change.SAME) -> Finding:
 def result(*configurations: list[Finding], settings: Settings = GATED, **more: Any) -> Result:
     """A result of configurations with these findings."""
     unused: Any = None
-    compared = tuple(Compared(unused, unused, tuple(findings), (), ()) for findings in configurations)
+    compared = tuple(ComparedConfiguration(unused, unused, tuple(findings), (), ()) for findings in configurations)
     return Result(
         compared, **{"alone": (), "unreadable": (), "settings": settings, "tests": 0, "lost": 0, "notes": (), **more}
     )

@@ -18,7 +18,7 @@ from gpusimbench.evaluator.cli.diff import main as diff_command
 from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
 from gpusimbench.evaluator.diff.numbers import Pairing
-from gpusimbench.evaluator.diff.result import Basis, Change, Difference, StepRange, Verdict
+from gpusimbench.evaluator.diff.result import Basis, Change, Difference, DiffVerdict, StepRange
 from gpusimbench.evaluator.diff.verdict import both_of, verdict_of
 from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
@@ -105,7 +105,7 @@ def test_a_difference_is_found_where_it_was_put(
     assert (number.ulp, number.a) == (abs(count), str(expected))
     assert number.hex_a == f"0x{int(expected.view(f'u{expected.itemsize}')):0{2 * expected.itemsize}x}"
     assert first.state.items == (number.item,)
-    assert (found.max_ulp, found.bit_identical, found.verdict) == (abs(count), False, Verdict.DIFFERENT)
+    assert (found.max_ulp, found.bit_identical, found.verdict) == (abs(count), False, DiffVerdict.DIFFERENT)
     assert found.splits.agreeing == (Change(0, 3), Change(since, 2))
     assert found.splits.classes_b == tuple(1 if e == env else 0 for e in range(3))
 
@@ -134,7 +134,7 @@ def test_opposite_signs_are_named_and_not_counted(tmp_path: Path) -> None:
 def test_equal_recordings_are_equal(tmp_path: Path) -> None:
     """Find nothing between two runs of the same numbers, and say over what."""
     found = compare(record(tmp_path, still()), record(tmp_path, still(), run=1))
-    assert found.verdict is Verdict.IDENTICAL
+    assert found.verdict is DiffVerdict.IDENTICAL
     assert (found.bit_identical, found.bitwise, found.same_up_to_env_order) == (True, True, True)
     assert (found.first, found.max_ulp, found.settings, found.copies) == (None, 0, (), False)
     compared = found.compared
@@ -257,7 +257,7 @@ def test_origins_are_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(synthetic, "StateWriter", Placed)
     a = record(tmp_path, base, origins=origins)
     found = compare_all_envs(a)
-    assert (found.verdict, found.bitwise, found.bit_identical) == (Verdict.WITHIN_RESOLUTION, False, False)
+    assert (found.verdict, found.bitwise, found.bit_identical) == (DiffVerdict.WITHIN_RESOLUTION, False, False)
     assert (found.max_ulp, found.same_up_to_env_order, found.compared.hash_steps) == (None, None, None)
     assert "origins" in found.splits.classes_missing
     assert not isinstance(found.growth, Missing)
@@ -279,7 +279,7 @@ def test_origins_are_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     # other origins in the other recording
     initial.append(nowhere(0))
     c = record(tmp_path, nowhere)
-    assert compare(c, a).verdict is compare(a, c).verdict is Verdict.WITHIN_RESOLUTION
+    assert compare(c, a).verdict is compare(a, c).verdict is DiffVerdict.WITHIN_RESOLUTION
     assert compare(c, b).first is not None
     assert compare_all_envs(c).bit_identical
 
@@ -288,7 +288,7 @@ def test_float32_and_float64(tmp_path: Path) -> None:
     """Compare two precisions by what float32 can tell, never by bits."""
     a, b = record(tmp_path, still()), record(tmp_path, lambda step: still()(step).astype("float64"))
     found = compare(a, b)
-    assert (found.verdict, found.max_ulp, found.bit_identical) == (Verdict.WITHIN_RESOLUTION, 0, False)
+    assert (found.verdict, found.max_ulp, found.bit_identical) == (DiffVerdict.WITHIN_RESOLUTION, 0, False)
     assert found.compared.fields[0].basis is Basis.FLOAT32
     assert "float32" in found.notes[0]
     assert {"state.cubes/position"} <= {s.name for s in found.settings}
@@ -596,7 +596,7 @@ def test_another_order_is_recognised(
     a = record(tmp_path / "a", at, run=0, whole=True)
     b = record(tmp_path / "b", other, run=1, whole=True)
     found = compare(a, b)
-    assert found.verdict is Verdict.DIFFERENT
+    assert found.verdict is DiffVerdict.DIFFERENT
     assert (found.same_up_to_env_order, found.same_up_to_body_order, found.bodies_of_other_envs) == same
     assert diff_command([str(a.path), str(b.path)]) == 4
     assert (said or "The two recordings differ from step 1 ") in " ".join(capsys.readouterr().out.split())
@@ -625,7 +625,7 @@ def test_a_rotation_has_two_signs(tmp_path: Path, capsys: pytest.CaptureFixture[
     found = compare(a, b)
     (field,) = found.compared.fields
     assert found.first is not None
-    assert (found.verdict, found.same_rotations) == (Verdict.DIFFERENT, True)
+    assert (found.verdict, found.same_rotations) == (DiffVerdict.DIFFERENT, True)
     assert (field.max_distance, field.other_sign) == (0.0, field.different)
     state = found.first.state
     assert state is not None

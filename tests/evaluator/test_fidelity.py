@@ -15,8 +15,8 @@ from gpusimbench.evaluator.compare.finding import Change, Counted, Finding
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Document, facts
 from gpusimbench.evaluator.render.terminal import print_document
-from gpusimbench.evaluator.report.sections.mechanics import blocks, fidelity_record, held
-from gpusimbench.evaluator.results.fidelity import Fidelity, Verdict, fidelity
+from gpusimbench.evaluator.report.sections.mechanics import blocks, checks_held, fidelity_record
+from gpusimbench.evaluator.results.fidelity import CheckVerdict, Fidelity, fidelity
 from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts, measured
 
 
@@ -28,7 +28,7 @@ def printed(found: Fidelity) -> str:
         fidelity=found,
         group=SimpleNamespace(key=SimpleNamespace(simulator="x", scene="s", device="d", determinism="default")),
     )
-    print_document(Document("", (facts(("checks held", held(result))), *blocks(result, "mechanics-of"))), stream)
+    print_document(Document("", (facts(("checks held", checks_held(result))), *blocks(result, "mechanics-of"))), stream)
     return stream.getvalue()
 
 
@@ -42,22 +42,22 @@ def test_one_broken_value_breaks_the_group() -> None:
     """Break where one environment of one run is beyond the tolerance, and count it."""
     row = fidelity("x", [run(2.4, 2.41), run(2.38, 2.46)]).rows[0]
     assert row.found is not None
-    assert (row.verdict, row.found.broken, row.found.count, row.n_run) == (Verdict.BROKEN, 1, 4, 2)
+    assert (row.verdict, row.found.broken, row.found.count, row.n_run) == (CheckVerdict.BROKEN, 1, 4, 2)
     assert row.found.mean == pytest.approx(2.4125)
     assert (row.found.least, row.found.most) == (2.38, 2.46)
 
 
 def test_the_tolerance_belongs_to_what_is_held() -> None:
     """Hold on the edge of the tolerance."""
-    assert fidelity("x", [run(2.449, 2.351)]).rows[0].verdict is Verdict.HELD
+    assert fidelity("x", [run(2.449, 2.351)]).rows[0].verdict is CheckVerdict.HELD
 
 
 def test_runs_that_could_not_be_measured_are_told() -> None:
     """Judge by those that could, and keep the reason of the others."""
     row = fidelity("x", [run(2.4), run(why="sparse")]).rows[0]
-    assert (row.verdict, row.n_run, row.reason) == (Verdict.HELD, 1, "sparse")
+    assert (row.verdict, row.n_run, row.reason) == (CheckVerdict.HELD, 1, "sparse")
     none = fidelity("x", [run(why="sparse"), run(why="sparse")]).rows[0]
-    assert (none.verdict, none.found, none.reason) == (Verdict.NOT_APPLICABLE, None, "sparse")
+    assert (none.verdict, none.found, none.reason) == (CheckVerdict.NOT_APPLICABLE, None, "sparse")
 
 
 def test_groups_without_facts_say_why() -> None:
@@ -65,7 +65,7 @@ def test_groups_without_facts_say_why() -> None:
     assert fidelity("x", []).checks_missing == "no run can be used"
     silent = replace(run(2.4), facts=Missing("no states were recorded"))
     assert fidelity("x", [silent, silent]).checks_missing == "no states were recorded"
-    assert fidelity("x", [silent, run(2.4)]).rows[0].verdict is Verdict.HELD
+    assert fidelity("x", [silent, run(2.4)]).rows[0].verdict is CheckVerdict.HELD
 
 
 def test_a_value_that_is_not_finite_breaks() -> None:
@@ -83,7 +83,7 @@ def test_values_of_which_none_is_finite_break() -> None:
     found = fidelity("x", [replace(run(2.4), facts={Check.ROLLING: fact})])
     (row,) = (row for row in found.rows if row.check is Check.ROLLING)
     assert row.found is not None
-    assert (row.verdict, row.found.mean) == (Verdict.BROKEN, None)
+    assert (row.verdict, row.found.mean) == (CheckVerdict.BROKEN, None)
     assert "BROKEN 2 of 2" in printed(found)
     json.dumps(fidelity_record(found), allow_nan=False)
     both = fidelity("x", [replace(run(2.4), facts={Check.ROLLING: fact}), run(2.41)]).rows[0]
@@ -117,8 +117,8 @@ def test_what_mechanics_does_not_demand_is_shown_apart() -> None:
     spin = measured([3.0, 0.0], low=None, high=0.0, tolerance=0.5, of="1 cm/s of a corner")
     speed = measured([0.0, 0.0], low=None, high=0.0, tolerance=0.01, of="1 cm/s")
     found = fidelity("x", [replace(run(2.4), facts={**run(2.4).facts, Check.END_SPEED: speed, Check.END_SPIN: spin})])
-    assert [row.check for row in found.of(Verdict.MOVING)] == [Check.END_SPIN]
-    assert [row.check for row in found.of(Verdict.AT_REST)] == [Check.END_SPEED]
+    assert [row.check for row in found.of(CheckVerdict.MOVING)] == [Check.END_SPIN]
+    assert [row.check for row in found.of(CheckVerdict.AT_REST)] == [Check.END_SPEED]
     text = printed(found)
     assert "checks held  1 of 1" in text
     held, apart = text.split("At rest at the sample time (mechanics does not demand it)", 1)

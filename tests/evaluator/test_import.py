@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.imports.motion import MAX_DISTANCE, Poses, Responses, poses, responses
-from gpusimbench.evaluator.imports.parameters import Compared, Finding, Verdict, compare
+from gpusimbench.evaluator.imports.parameters import ComparedKind, ParameterDifference, ParameterFault, compare
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.recorder.run.import_phase import tried
 from gpusimbench.recorder.scenes.base import Scene
@@ -86,7 +86,7 @@ class Defect:
     kind: str
     item: str
     parameter: str = ""
-    verdict: Verdict = Verdict.DIFFERS
+    verdict: ParameterFault = ParameterFault.DIFFERS
 
 
 DEFECTS = (
@@ -113,13 +113,13 @@ DEFECTS = (
     Defect("force range", ' forcerange="-30 30"', "", "actuators", "servo", "force_range"),
     Defect("control range", 'ctrlrange="-2 2"', 'ctrlrange="-1 1"', "actuators", "spin", "control_range"),
     Defect("actuator missing", '<velocity name="spin" joint="pan" kv="0.5" ctrlrange="-2 2"/>', "", "actuators", "spin",
-           verdict=Verdict.MISSING),
+           verdict=ParameterFault.MISSING),
     Defect("actuator on another joint", 'joint="pan" kv', 'joint="elbow" kv', "actuators", "spin", "target"),
     Defect("equality dropped", '<joint name="coupled" joint1="slide" joint2="follow" polycoef="0 1 0 0 0"/>', "",
-           "equalities", "coupled", verdict=Verdict.MISSING),
+           "equalities", "coupled", verdict=ParameterFault.MISSING),
     Defect("equality's ratio", 'polycoef="0 1 0 0 0"', 'polycoef="0 1.1 0 0 0"', "equalities", "coupled", "data"),
     Defect("exclude dropped", '<exclude name="neighbours" body1="base" body2="lower"/>', "", "excludes", "base - lower",
-           verdict=Verdict.MISSING),
+           verdict=ParameterFault.MISSING),
     Defect("pair's friction", 'friction="0.5 0.5', 'friction="0.6 0.6', "pairs", "block - cart", "friction"),
     Defect("tendon's ratio", 'coef="0.5"', 'coef="-0.5"', "tendons", "pair", "path"),
     Defect("tendon's stiffness", 'name="pair" stiffness="1"', 'name="pair"', "tendons", "pair", "stiffness"),
@@ -186,7 +186,7 @@ def _moved(reference: Held, engine: Held) -> tuple[Poses, Responses]:
     return found[0], found[1]
 
 
-def _findings(found: tuple[Compared, ...]) -> list[Finding]:
+def _findings(found: tuple[ComparedKind, ...]) -> list[ParameterDifference]:
     return [finding for kind in found for finding in kind.findings]
 
 
@@ -229,7 +229,7 @@ def test_another_order(kind: str, parts: tuple[str, str], reference: Held, tmp_p
     """Name the kind whose things stand in another order; what each of them is does not differ."""
     broken = _held(_write(tmp_path, _order(MODEL, *parts)))
     (found,) = _findings(compare(reference.imported, broken.imported))
-    assert (found.verdict, found.kind) == (Verdict.ORDER, kind)
+    assert (found.verdict, found.kind) == (ParameterFault.ORDER, kind)
     if kind == "joints":  # of one body: its pose depends on their order
         assert [link.link for link in _moved(reference, broken)[0].wrong] == ["lower"]
 
@@ -305,14 +305,19 @@ def test_what_an_engine_does_not_have(reference: Held) -> None:
     engine = Imported(held.names, values, {"joints/frictionloss": "the engine has no dry friction in joints"})
     found = compare(held, engine)
     (lost,) = _findings(found)
-    assert (lost.verdict, lost.kind, lost.parameter, lost.item) == (Verdict.LOST, "joints", "frictionloss", "1 of 6")
+    assert (lost.verdict, lost.kind, lost.parameter, lost.item) == (
+        ParameterFault.LOST,
+        "joints",
+        "frictionloss",
+        "1 of 6",
+    )
     assert lost.found == "the engine has no dry friction in joints"
     assert [kind.not_compared for kind in found if kind.not_compared] == [
         (("solmix", "the engine's value is not read"),)
     ]
     without = Imported({**held.names, "tendons": ()}, held.values, {"tendons": "no tendons"})
     (missing,) = _findings(compare(held, without))
-    assert (missing.verdict, missing.item, missing.found) == (Verdict.MISSING, "pair", "no tendons")
+    assert (missing.verdict, missing.item, missing.found) == (ParameterFault.MISSING, "pair", "no tendons")
     not_read = Imported({k: v for k, v in held.names.items() if k != "tendons"}, held.values, {"tendons": "not read"})
     found = compare(held, not_read)
     assert not _findings(found)
@@ -323,7 +328,7 @@ def test_shapes_that_are_only_shown(tmp_path: Path) -> None:
     """Take a shape that collides with nothing for no loss where it is not there, and any other for one."""
     shown = MODEL.replace('name="arm"', 'name="arm" contype="0" conaffinity="0"')
     held = _held(_write(tmp_path, shown)).imported
-    for name, verdicts in (("arm", []), ("forearm", [Verdict.MISSING])):
+    for name, verdicts in (("arm", []), ("forearm", [ParameterFault.MISSING])):
         kept = [i for i, geom in enumerate(held.names["geoms"]) if geom != name]
         names = {**held.names, "geoms": tuple(held.names["geoms"][i] for i in kept)}
         values = {key: rows[kept] if key.startswith("geoms/") else rows for key, rows in held.values.items()}
@@ -374,12 +379,12 @@ def test_newton(reference: Held, tmp_path: Path) -> None:
     xpbd = _held(path, "newton", {"solver": "xpbd"})
     named = {(f.verdict, f.kind, f.item, f.parameter) for f in _findings(compare(reference.imported, xpbd.imported))}
     assert named >= {
-        (Verdict.MISSING, "tendons", "pair", ""),
-        (Verdict.MISSING, "equalities", "coupled", ""),
-        (Verdict.DIFFERS, "joints", "pan", "armature"),
-        (Verdict.DIFFERS, "joints", "pan", "frictionloss"),
-        (Verdict.DIFFERS, "joints", "slide", "damping"),
-        (Verdict.DIFFERS, "joints", "lift", "stiffness"),
+        (ParameterFault.MISSING, "tendons", "pair", ""),
+        (ParameterFault.MISSING, "equalities", "coupled", ""),
+        (ParameterFault.DIFFERS, "joints", "pan", "armature"),
+        (ParameterFault.DIFFERS, "joints", "pan", "frictionloss"),
+        (ParameterFault.DIFFERS, "joints", "slide", "damping"),
+        (ParameterFault.DIFFERS, "joints", "lift", "stiffness"),
     }
     placed, responded = _moved(reference, xpbd)
     assert not placed.wrong and responded.wrong

@@ -18,7 +18,7 @@ from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.integrity.problem import DAMAGE, MAX_KEPT, REMARKS, Kind, Problems
 from gpusimbench.evaluator.check.integrity.scan import scan
 from gpusimbench.evaluator.check.rules.findings import check
-from gpusimbench.evaluator.check.rules.rule import Level, load_rules
+from gpusimbench.evaluator.check.rules.rule import Severity, load_rules
 from gpusimbench.recorder.capture import state_work
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, FailedCrc
@@ -458,7 +458,7 @@ def test_rules_agree_with_kinds() -> None:
     assert set(asked) == {kind.name for kind in Kind}
     for kind in Kind:
         assert asked[kind.name].damage == (kind in DAMAGE), kind
-        assert (asked[kind.name].level is Level.warning) == (kind in REMARKS), kind
+        assert (asked[kind.name].level is Severity.warning) == (kind in REMARKS), kind
 
 
 def test_every_rule_of_integrity_can_be_broken() -> None:

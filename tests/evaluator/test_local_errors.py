@@ -18,7 +18,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import W1_REAL
 from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_METRICS, TOSS_LOCAL_POSITION, TOSS_POSITION
 from gpusimbench.evaluator.runs.toss_motion import errors_of, local_errors_of, measured_tosses
@@ -140,7 +140,7 @@ def test_set_states_are_no_merit(evaluation: Evaluation) -> None:
             assert "it has local errors" in whole.reason
             assert isinstance(w1, Missing)
             assert "set to the reference's states" in w1.reason
-            assert not any(result.fidelity.of(verdict) for verdict in (Verdict.BROKEN, Verdict.HELD))
+            assert not any(result.fidelity.of(verdict) for verdict in (CheckVerdict.BROKEN, CheckVerdict.HELD))
         # a label says how often, and no digest of what follows from that
         assert "states:" not in result.label
         assert (result.group.key.told["intervention"] in result.label) or not taught

@@ -12,7 +12,8 @@ import pytest
 
 from gpusimbench.evaluator.cli.compare import main as gsb_compare
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.render.table_files import Format, table_files
+from gpusimbench.evaluator.render.formats import Format
+from gpusimbench.evaluator.render.table_files import table_files
 from gpusimbench.evaluator.report.document import render_html, report
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.parquet import METRICS as METRICS_TABLE

@@ -10,9 +10,10 @@ import pytest
 
 from gpusimbench.evaluator.cli.eval import main
 from gpusimbench.evaluator.render.document import table
+from gpusimbench.evaluator.render.formats import Format
 from gpusimbench.evaluator.render.markdown import table_markdown
 from gpusimbench.evaluator.render.numbers import mean_sd
-from gpusimbench.evaluator.render.table_files import Format, as_csv, as_latex, table_files
+from gpusimbench.evaluator.render.table_files import as_csv, as_latex, table_files
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.identity import distinct_over_time
-from gpusimbench.evaluator.player.classes import Compared, changes, compared, representatives
+from gpusimbench.evaluator.player.classes import ComparableHashes, changes, compared, representatives
 from gpusimbench.evaluator.read.recording import Recording
 from tests.synthetic import cubes_field, grid, write_recording
 
@@ -19,9 +19,9 @@ HASHES = st.integers(1, 6).flatmap(
 ).map(lambda rows: np.array(rows, dtype=np.uint64))  # fmt: skip
 
 
-def _members(hashes: NDArray[np.uint64]) -> Compared:
+def _members(hashes: NDArray[np.uint64]) -> ComparableHashes:
     n_row, n = hashes.shape
-    return Compared(np.zeros(n, dtype=np.int64), np.arange(n), 10 * np.arange(n_row), hashes, "")
+    return ComparableHashes(np.zeros(n, dtype=np.int64), np.arange(n), 10 * np.arange(n_row), hashes, "")
 
 
 def _histories(hashes: NDArray[np.uint64], row: int) -> list[tuple[int, ...]]:
@@ -76,7 +76,7 @@ def test_runs_are_compared_with_each_other(tmp_path: Path) -> None:
     final = grid(2)
     runs = [write_recording(tmp_path, final + 0.001 * (run == 2), run=run) for run in range(3)]
     found = compared([Recording(path) for path in runs])
-    assert isinstance(found, Compared)
+    assert isinstance(found, ComparableHashes)
     assert found.hashes.shape == (6, 6)
     assert changes(found, [0, 4]).so_far.tolist() == [1, 2]
     assert representatives(found, 6) == [0, 4]
@@ -92,6 +92,6 @@ def test_bits_that_cannot_be_compared_give_a_reason(tmp_path: Path) -> None:
     apart = [Recording(write_recording(tmp_path, grid(2), run=run, origins=origins)) for run in range(2)]
     assert "different origins" in str(compared(apart[:1]))
     found = compared(apart)
-    assert isinstance(found, Compared)
+    assert isinstance(found, ComparableHashes)
     assert found.env.tolist() == [0, 0]
     assert "2 of 4 environments" in found.left_out

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.render.table_files import Format, table_files
+from gpusimbench.evaluator.render.formats import Format
+from gpusimbench.evaluator.render.table_files import table_files
 from gpusimbench.evaluator.report.document import render_html, report
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.sections.determinism_cost import SAME, ratio

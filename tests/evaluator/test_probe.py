@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.metrics.levels import Level
+from gpusimbench.evaluator.metrics.levels import EqualityLevel
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
-from gpusimbench.evaluator.probe.pairs import Pairs, held
+from gpusimbench.evaluator.probe.pairs import Pairs, compare_pairs
 from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of, interleaved
 from gpusimbench.evaluator.probe.questions import QUESTIONS, answers
 from gpusimbench.evaluator.probe.questions import probed as judged
@@ -33,7 +33,7 @@ from gpusimbench.evaluator.report.sections.probed import depends, evidence
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.schemas.commands.folder_lock import held as held_by
+from gpusimbench.schemas.commands.folder_lock import folder_lock as held_by
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
@@ -170,7 +170,7 @@ def test_one_thing_planted(tmp_path: Path, index: int, env: int, step: int, also
     assert asked.answer is Answer.NO
     assert {finding.answer for key, finding in found.items() if key != also} <= others
     assert asked.found is not None
-    assert asked.found.level is Level.WITHIN_ULP
+    assert asked.found.level is EqualityLevel.WITHIN_ULP
     assert asked.found.first_step == step
     first = asked.found.first
     assert first is not None
@@ -205,7 +205,7 @@ def test_far_apart(tmp_path: Path) -> None:
     asked = _probe(tmp_path, {TREATED["excursion"]: fly})["restored"]
     assert asked.answer is Answer.NO
     assert asked.found is not None
-    assert asked.found.level is Level.DIFFERENT
+    assert asked.found.level is EqualityLevel.DIFFERENT
     assert (asked.found.first_step, asked.found.at_step, asked.found.unit) == (12, 20, "m")
     assert asked.found.max_distance == pytest.approx(0.15)
     assert "15 cm apart at step 20" in evidence(asked)
@@ -222,7 +222,7 @@ def test_not_finite(tmp_path: Path) -> None:
     found = {finding.key: finding for finding in answers(one)}["runs"]
     assert found.answer is Answer.NO
     assert found.found is not None
-    assert found.found.level is Level.DIFFERENT
+    assert found.found.level is EqualityLevel.DIFFERENT
 
 
 def test_switches_that_follow_the_number(tmp_path: Path) -> None:
@@ -276,10 +276,10 @@ def test_what_cannot_be_compared(tmp_path: Path) -> None:
     other = Recording(place(str(write_recording(tmp_path, grid(4, "float64"), steps=30, dt=0.01))))
     coarse = Recording(place(str(write_recording(tmp_path, grid(4, "float32"), steps=30, dt=0.02))))
     for there, why in ((other, "other state fields"), (coarse, "other time steps")):
-        found = held(Pairs(one, there, ((0, 0),)))
+        found = compare_pairs(Pairs(one, there, ((0, 0),)))
         assert isinstance(found, Missing)
         assert why in found.reason
-    apart = held(Pairs(one, one, ((0, 0),), ahead=1000))
+    apart = compare_pairs(Pairs(one, one, ((0, 0),), ahead=1000))
     assert isinstance(apart, Missing)
 
 
@@ -461,7 +461,7 @@ def test_probes_on_a_gpu(evaluated: Evaluation) -> None:
         assert {key for key, f in answered.items() if f.answer is Answer.NO} - {"set"} == {"number"}
         fresh = answered["fresh"].found
         assert fresh is not None
-        assert (fresh.level, fresh.steps, fresh.curve) == (Level.BIT_IDENTICAL, 200, ())
+        assert (fresh.level, fresh.steps, fresh.curve) == (EqualityLevel.BIT_IDENTICAL, 200, ())
         number = answered["number"].found
         assert number is not None and number.first is not None and number.first_step is not None
         assert number.first_step < number.first.step == 150

@@ -11,7 +11,7 @@ import pytest
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Finding
-from gpusimbench.evaluator.probe.pairs import Pairs, held
+from gpusimbench.evaluator.probe.pairs import Pairs, compare_pairs
 from gpusimbench.evaluator.probe.questions import answers
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.location import place
@@ -90,11 +90,11 @@ def test_actions_go_along(sound: dict[str, Recording]) -> None:
 
 def test_other_actions_are_not_compared(sound: dict[str, Recording]) -> None:
     """Compare no environments that were given other actions, as in recordings whose actions stayed in their slots."""
-    same_slot = held(Pairs(sound["usual"], sound["shifted"], ((0, 0),)))
+    same_slot = compare_pairs(Pairs(sound["usual"], sound["shifted"], ((0, 0),)))
     assert isinstance(same_slot, Missing)
     assert same_slot.reason == "the environments that would be compared were given other actions"
     later = Pairs(sound["reset"], sound["plain"], ((1, 1),), ahead=AT, first=1)  # which was not reset
-    assert isinstance(held(later), Missing)
+    assert isinstance(compare_pairs(later), Missing)
 
 
 @pytest.mark.parametrize(("arm", "arguments", "key"), [("shifted", SHIFTED, "slot"), ("reset", RESET, "fresh")])

@@ -13,7 +13,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.program_parts import Kind, Part
-from gpusimbench.evaluator.diff.result import Difference, Verdict
+from gpusimbench.evaluator.diff.result import Difference, DiffVerdict
 from gpusimbench.evaluator.diff.verdict import verdict_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
@@ -80,7 +80,7 @@ def first_of(found: Difference) -> Part:
     """The part that differs first."""
     assert found.program is not None
     assert found.program.first is not None
-    assert found.verdict is Verdict.DIFFERENT
+    assert found.verdict is DiffVerdict.DIFFERENT
     assert not found.bit_identical
     return found.program.first
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording, wrap
-from gpusimbench.evaluator.metrics.levels import Level
+from gpusimbench.evaluator.metrics.levels import EqualityLevel
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer
-from gpusimbench.evaluator.probe.pairs import Pairs, held
+from gpusimbench.evaluator.probe.pairs import Pairs, compare_pairs
 from gpusimbench.evaluator.probe.questions import answers
 from tests.conftest import Command
 
@@ -41,9 +41,9 @@ def test_environments_of_a_task_are_not_meant_to_be_alike(tmp_path: Path, gsb_pr
 def test_no_distance_without_positions(tmp_path: Path) -> None:
     """Call observations different that are not equal: there is no tolerance in metres or rad for them."""
     a, b = (open_recording(_recorded(tmp_path / f"{seed}.mcap", 2, seed)) for seed in (1, 2))
-    found = held(Pairs(a, b, ((0, 0),)))
+    found = compare_pairs(Pairs(a, b, ((0, 0),)))
     assert not isinstance(found, Missing)
-    assert (found.level, found.unit, found.max_distance) == (Level.DIFFERENT, "", 0.0)
+    assert (found.level, found.unit, found.max_distance) == (EqualityLevel.DIFFERENT, "", 0.0)
 
 
 def test_the_first_page_of_tasks(tmp_path: Path, gsb_eval: Command) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.audit.matching import compared, distinct, match_of
-from gpusimbench.evaluator.audit.verdict import Level, Verdict, ladder
+from gpusimbench.evaluator.audit.verdict import AuditLevel, AuditVerdict, ladder
 from gpusimbench.evaluator.cli.diff import main
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference, StepRange
-from gpusimbench.evaluator.diff.result import Verdict as Found
+from gpusimbench.evaluator.diff.result import DiffVerdict as Found
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.messages import message_class
@@ -44,7 +44,7 @@ def _record(folder: Path, hashes: list[int] | None, *, stride: int = 1, moved: i
     return Recording(made)
 
 
-def _verdict(found: Difference, a: Recording, b: Recording) -> Verdict:
+def _verdict(found: Difference, a: Recording, b: Recording) -> AuditVerdict:
     return ladder(
         [match_of(found, a, b)], lambda: "no test", max_ulps=4, originals=1, compared=compared(found)
     )  # fmt: skip
@@ -70,7 +70,7 @@ def test_equal_timed_phases_are_said_to_be(tmp_path: Path) -> None:
     found = compare(a, b)
     assert found.bit_identical
     assert (found.compared.timed_steps, found.notes) == (StepRange(2, 100, 1100), ())
-    assert _verdict(found, a, b).level is Level.BIT_IDENTICAL
+    assert _verdict(found, a, b).level is AuditLevel.BIT_IDENTICAL
 
 
 def test_an_order_is_one_of_both_phases(tmp_path: Path) -> None:
@@ -109,7 +109,7 @@ def test_numbers_between_recorded_states_are_not_known(tmp_path: Path) -> None:
     found = compare(a, b)
     assert (found.max_ulp, found.compared.unseen_steps) == (0, 1)
     rung = _verdict(found, a, b).rungs[2]
-    assert (rung.level, rung.holds) == (Level.WITHIN_ULPS, None)
+    assert (rung.level, rung.holds) == (AuditLevel.WITHIN_ULPS, None)
     assert "over 2 recorded steps" in rung.said
     assert "state hashes differ at 1 step of which no state was recorded" in rung.said
 

@@ -14,11 +14,12 @@ import pytest
 
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.rules.findings import check
-from gpusimbench.evaluator.check.rules.rule import Level, Scope, load_rules
+from gpusimbench.evaluator.check.rules.rule import Scope, Severity, load_rules
 from gpusimbench.evaluator.cli.compare import main as compare
 from gpusimbench.evaluator.cli.eval import main as evaluate
 from gpusimbench.evaluator.cli.share import main as share
-from gpusimbench.evaluator.render.table_files import Format, table_files
+from gpusimbench.evaluator.render.formats import Format
+from gpusimbench.evaluator.render.table_files import table_files
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.document import render_html, report
 from gpusimbench.evaluator.report.json import to_json
@@ -237,7 +238,7 @@ def test_rules_not_met_are_those_of_gsb_check(which: str, tmp_path: Path) -> Non
     """Count the errors of gsb-check --protocol, rule by rule, and lose none between the groups."""
     paths = SMALL if which == "shipped" else recorded(tmp_path, status="FAILED", reason="it broke")
     report = check([examine(path) for path in paths], [load_rules("protocol-2")])
-    errors = [f for f in report.findings if f.rule.level is Level.error and f.rule.of is not Scope.set]
+    errors = [f for f in report.findings if f.rule.level is Severity.error and f.rule.of is not Scope.set]
     assert errors
     found = evaluate_files(paths)
     assert found.unmet.findings == Counter(f.rule.id for f in errors)

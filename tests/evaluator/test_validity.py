@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
@@ -18,7 +20,7 @@ from gpusimbench.evaluator.results.details import CaptureOverhead
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.evaluator.runs.validation import demands, verify
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
 from tests.conftest import Command, call
@@ -56,6 +58,15 @@ def broken(folder: Path, run: int, final: np.ndarray) -> Path:
         elapsed_s=0.001, shown=Shown(counts={"capture": {"contacts": np.full((5, len(final)), 999)}},
                                      overflow={"capture": overflowing(5, 3, 1, len(final))}, bits=BITS),
     )  # fmt: skip
+
+
+def test_every_stream_is_verified(small_set: list[Path]) -> None:
+    """Read every stream before a recording's numbers are used: one of a new kind, too."""
+    recording = Recording(small_set[0])
+    for demand in demands(recording):
+        demand()
+    streams = {name for name, value in vars(Recording).items() if isinstance(value, cached_property)}
+    assert streams - vars(recording).keys() == {"varied"}  # gsb-check holds it against the configuration
 
 
 def test_counts_of_a_real_set(small_set: list[Path]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gpusimbench.evaluator.imports.parameters import Finding, compare
+from gpusimbench.evaluator.imports.parameters import ParameterDifference, compare
 from gpusimbench.recorder.run.import_phase import tried
 from gpusimbench.recorder.scenes.model import ModelScene, model_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
@@ -177,7 +177,7 @@ def wedge(folder: Path) -> ModelScene:
     return scene_of(text, folder)
 
 
-def hold_parameters(held: Imported) -> list[Finding]:
+def hold_parameters(held: Imported) -> list[ParameterDifference]:
     """Differ from the mixed model in added links and missing tendons, and from a model with another mass and another
     limit in these two. Returns the first differences."""
     found = [f for kind in compare(of_c(mujoco.MjModel.from_xml_string(MIXED)), held) for f in kind.findings]

@@ -14,7 +14,7 @@ import h5py
 
 from gpusimbench import UsageError, open_recording
 from gpusimbench.evaluator.diff.verdict import place_of
-from gpusimbench.evaluator.replays.verdict import Verdict
+from gpusimbench.evaluator.replays.verdict import EpisodeVerdict
 from tests.maniskill_tasks import SEEDS, STEPS, TASK, record
 from tests.replaying import replayed, replayed_recording
 
@@ -44,7 +44,7 @@ def test_trajectories_replay(mode: str, seeds: tuple[int | None, ...], here: Pat
     file = record(here / "demos", mode)
     seeded(file, *seeds)
     found = replayed(file, env=TASK)
-    assert [one.verdict for one in found.episodes] == [Verdict.IDENTICAL] * 3
+    assert [one.verdict for one in found.episodes] == [EpisodeVerdict.IDENTICAL] * 3
     assert {one.steps for one in found.episodes} == {(STEPS, STEPS)} and found.began_otherwise == 0
     original = open_recording("trajectory.mcap")
     with h5py.File(file) as groups:
@@ -54,13 +54,13 @@ def test_trajectories_replay(mode: str, seeds: tuple[int | None, ...], here: Pat
     assert np.ptp(cube[:, 2]) > 0.01  # it fell, or was moved
     assert [one.success for one in found.episodes] == [(flag, flag) for flag in succeeded]
     again = replayed_recording(Path("replay.mcap"), Path("again.mcap"), env=TASK)  # which has seeds and states, too
-    assert [one.verdict for one in again.episodes] == [Verdict.IDENTICAL] * 3
+    assert [one.verdict for one in again.episodes] == [EpisodeVerdict.IDENTICAL] * 3
 
 
 def test_another_step_of_physics_is_found(here: Path) -> None:
     """Say at which step the states of a replay leave those of the file, and that they began as recorded."""
     found = replayed(record(here / "demos"), 'sim_config={"sim_freq": 200}', env=TASK)
-    assert found.count(Verdict.IDENTICAL) == 0 and found.began_otherwise == 0
+    assert found.count(EpisodeVerdict.IDENTICAL) == 0 and found.began_otherwise == 0
     for one in found.episodes:
         assert one.first is not None and one.first.step == 1 and one.largest is not None
         assert one.largest.distance > 1e-3
@@ -75,7 +75,11 @@ def test_a_changed_state_is_another(here: Path) -> None:
         row[1] = np.nextafter(row[1], np.float32(2))
         cube[7] = row
     found = replayed(file, env=TASK)
-    assert [one.verdict for one in found.episodes] == [Verdict.IDENTICAL, Verdict.SAME, Verdict.IDENTICAL]
+    assert [one.verdict for one in found.episodes] == [
+        EpisodeVerdict.IDENTICAL,
+        EpisodeVerdict.SAME,
+        EpisodeVerdict.IDENTICAL,
+    ]
     first = found.episodes[1].first
     assert first is not None and (first.step, place_of(first.number)) == (7, "observation_actors_cube[1]")
 

@@ -18,7 +18,7 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import own_options
-from gpusimbench.recorder.simulators.newton.made import as_mujoco_has_it
+from gpusimbench.recorder.simulators.newton.mujoco_terms import as_mujoco_has_it
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import ExitCode, UsageError
@@ -322,7 +322,7 @@ def test_other_solvers(solver: str, tmp_path: Path) -> None:
 
 def test_what_a_solver_does_not_read(tmp_path: Path) -> None:
     """Name damping, armature and dry friction of joints, and equalities, where a solver has none of them."""
-    from gpusimbench.recorder.simulators.newton.made import deviations_of_import
+    from gpusimbench.recorder.simulators.newton.mujoco_terms import deviations_of_import
 
     held = '<equality><joint name="held" joint1="hinge"/><weld body1="a"/></equality>'
     scene = _scene(_written(tmp_path, FALLING, held))

@@ -19,7 +19,7 @@ import h5py
 import robosuite
 
 from gpusimbench import GsbError, open_recording
-from gpusimbench.evaluator.replays.verdict import Verdict
+from gpusimbench.evaluator.replays.verdict import EpisodeVerdict
 from tests.replaying import replayed, replayed_recording
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of robosuite, which leaves files open
@@ -70,7 +70,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_demonstrations_replay(collected: Path, here: Path) -> None:
     """Replay bit for bit, each episode in its own model; the recording has the states of the file, and success."""
     found = replayed(collected)
-    assert [one.verdict for one in found.episodes] == [Verdict.IDENTICAL] * 2
+    assert [one.verdict for one in found.episodes] == [EpisodeVerdict.IDENTICAL] * 2
     assert [one.success for one in found.episodes] == [(True, True)] * 2
     recording = open_recording("demo.mcap")
     assert recording.configuration.dt == 0.05
@@ -78,13 +78,13 @@ def test_demonstrations_replay(collected: Path, here: Path) -> None:
         qpos = np.concatenate([file[f"data/demo_{number}/states"][:, 1:17] for number in (1, 2)])
     assert (recording.state("env", "observation_qpos")[:-1, 0, 0] == qpos).all()
     again = replayed_recording(Path("replay.mcap"), Path("again.mcap"))  # which has states and models, too
-    assert [one.verdict for one in again.episodes] == [Verdict.IDENTICAL] * 2
+    assert [one.verdict for one in again.episodes] == [EpisodeVerdict.IDENTICAL] * 2
 
 
 def test_another_time_step_is_another_outcome(collected: Path, here: Path) -> None:
     """Say that a cube is no longer lifted with actions of half the duration."""
     found = replayed(collected, "control_freq=40")
-    assert {one.verdict for one in found.episodes} == {Verdict.OTHER}
+    assert {one.verdict for one in found.episodes} == {EpisodeVerdict.OTHER}
     assert all(one.success == (True, False) and one.began_alike for one in found.episodes)
 
 
@@ -97,7 +97,7 @@ def test_the_model_of_an_episode_decides(collected: Path, here: Path) -> None:
         demo.attrs["model_file"] = changed = model.replace('density="1.2"', 'density="900"', 1)
         assert changed != model
     found = replayed(here / "dense.hdf5")
-    assert [one.verdict is Verdict.IDENTICAL for one in found.episodes] == [False, True]
+    assert [one.verdict is EpisodeVerdict.IDENTICAL for one in found.episodes] == [False, True]
 
 
 def test_a_model_with_other_files_is_refused(collected: Path, here: Path) -> None:

@@ -15,7 +15,8 @@ from gpusimbench.evaluator.cli.diff import main as diff
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.replay.cli import main as replay
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.images import image_hash_field, image_hashes
+from gpusimbench.schemas.fields import array_field
+from gpusimbench.schemas.images import image_hash_note, image_hashes
 from tests.recorder.test_wrap import MODES
 
 SHAPE = (5, 7, 3)
@@ -133,7 +134,7 @@ def test_images_are_replayed(images: str, tmp_path: Path, capsys: pytest.Capture
 def test_programs_record_hashes_of_their_cameras(tmp_path: Path) -> None:
     """Write hashes without wrap, of frames of any dtype; one other number gives another hash."""
     frames = np.random.default_rng(0).normal(size=(3, N_ENV, 4, 5)).astype(np.float16)
-    field = image_hash_field("camera", frames.dtype, frames.shape[2:])
+    field = array_field("camera", "float64", (2,), note=image_hash_note(frames.dtype, frames.shape[2:]))
     with RecordingWriter(
         tmp_path / "a.mcap", simulator="mine", version="1", scene="task", n_env=N_ENV, dt=0.1, steps=None,
         fields=(field,),

@@ -10,7 +10,7 @@ import pytest
 
 from gpusimbench import UsageError, open_recording, verify, wrap
 from gpusimbench.evaluator.read.episodes import episode_table
-from gpusimbench.recorder.vector.infos import told
+from gpusimbench.recorder.vector.infos import info_arrays
 from gpusimbench.recorder.vector.modes import Mode
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -98,13 +98,13 @@ def test_infos_without_masks() -> None:
     """Take an info without a mask as said by all environments; a mask of a dictionary holds for what is in it."""
     done, stepped = np.array([False, True, False]), np.array([True, True, False])
     info = {"success": np.array([[1], [1], [1]]), "cost": {"energy": [4, 5, 6], "_energy": [True, True, False]}}
-    found = told(("success", "cost/energy"), info, Mode.DISABLED, done, stepped)
+    found = info_arrays(("success", "cost/energy"), info, Mode.DISABLED, done, stepped)
     assert {name: array.tolist() for name, array in found.items()} == {
         "info/success": [1, 1, 0], "info/success_given": [True, True, False],
         "info/cost/energy": [4, 5, 0], "info/cost/energy_given": [True, True, False],
     }  # fmt: skip
     info |= {"final_info": {"success": np.array([0, 7, 0])}, "_final_info": np.array([False, True, False])}
-    found = told(("success", "cost/energy"), info, Mode.SAME_STEP, done, np.ones(3, dtype=bool))
+    found = info_arrays(("success", "cost/energy"), info, Mode.SAME_STEP, done, np.ones(3, dtype=bool))
     assert found["info/success"].tolist() == [1, 7, 1]
     assert found["info/cost/energy_given"].tolist() == [True, False, False]
 

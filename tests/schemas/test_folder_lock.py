@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gpusimbench.schemas.commands.folder_lock import held
+from gpusimbench.schemas.commands.folder_lock import folder_lock
 from gpusimbench.schemas.errors import GsbError
 
 
@@ -20,12 +20,12 @@ def test_a_lock_is_held_once_and_leaves_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "a" / "b"
     lock = folder / ".sweep.lock"
     for _ in range(2):
-        with held(folder, "sweep", "makes this sweep"):
+        with folder_lock(folder, "sweep", "makes this sweep"):
             assert json.loads(lock.read_text()) == {"pid": os.getpid(), "host": socket.gethostname()}
             said = f"process {os.getpid()} on '{socket.gethostname()}' makes this sweep in .* already"
-            with pytest.raises(GsbError, match=said), held(folder, "sweep", "makes this sweep"):
+            with pytest.raises(GsbError, match=said), folder_lock(folder, "sweep", "makes this sweep"):
                 pass
-            with held(folder, "other", "makes another"):
+            with folder_lock(folder, "other", "makes another"):
                 pass
             assert os.listdir(folder) == [".sweep.lock"]
         assert os.listdir(folder) == []
@@ -34,16 +34,19 @@ def test_a_lock_is_held_once_and_leaves_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize("word", [b"", b"[]", b'{"pid": "x", "host": "y"}', b'{"pid": 1}', b"\xff", b"7"])
 def test_a_holder_that_did_not_say_who_it_is(tmp_path: Path, word: bytes) -> None:
     """Refuse all the same, whatever stands in the file."""
-    with held(tmp_path, "sweep", "makes this sweep"):
+    with folder_lock(tmp_path, "sweep", "makes this sweep"):
         (tmp_path / ".sweep.lock").write_bytes(word)
-        with pytest.raises(GsbError, match="^another process makes"), held(tmp_path, "sweep", "makes this sweep"):
+        with (
+            pytest.raises(GsbError, match="^another process makes"),
+            folder_lock(tmp_path, "sweep", "makes this sweep"),
+        ):
             pass
 
 
 def test_what_a_crash_left_is_no_lock(tmp_path: Path) -> None:
     """Take a lock whose file is there and whose holder is not."""
     (tmp_path / ".sweep.lock").write_text('{"pid": 1, "host": "elsewhere and longer than this machine\'s name"}')
-    with held(tmp_path, "sweep", "makes this sweep"):
+    with folder_lock(tmp_path, "sweep", "makes this sweep"):
         assert json.loads((tmp_path / ".sweep.lock").read_text())["pid"] == os.getpid()
 
 
@@ -60,11 +63,11 @@ def test_file_systems_without_locks(
 
     monkeypatch.setattr(fcntl, "flock", fail)
     if held_anyway:
-        with held(tmp_path, "sweep", "makes this sweep"):
+        with folder_lock(tmp_path, "sweep", "makes this sweep"):
             assert "a file system without locks" in capsys.readouterr().err
         assert os.listdir(tmp_path) == []
     else:
-        with pytest.raises(GsbError, match="cannot lock"), held(tmp_path, "sweep", "makes this sweep"):
+        with pytest.raises(GsbError, match="cannot lock"), folder_lock(tmp_path, "sweep", "makes this sweep"):
             pass
 
 
@@ -84,10 +87,10 @@ def test_a_lock_whose_file_is_removed_as_it_is_taken(
         flock(descriptor, operation)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with held(tmp_path, "sweep", "makes this sweep"):
+    with folder_lock(tmp_path, "sweep", "makes this sweep"):
         assert len(locked) == 2
         assert json.loads(path.read_text())["pid"] == os.getpid()
-        with pytest.raises(GsbError, match="already"), held(tmp_path, "sweep", "makes this sweep"):
+        with pytest.raises(GsbError, match="already"), folder_lock(tmp_path, "sweep", "makes this sweep"):
             pass
     assert os.listdir(tmp_path) == []
 
@@ -95,5 +98,5 @@ def test_a_lock_whose_file_is_removed_as_it_is_taken(
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     """Say so, and what to do, where a file has its name."""
     (tmp_path / "file").touch()
-    with pytest.raises(GsbError, match="cannot make .*choose another folder"), held(tmp_path / "file", "a", "b"):
+    with pytest.raises(GsbError, match="cannot make .*choose another folder"), folder_lock(tmp_path / "file", "a", "b"):
         pass

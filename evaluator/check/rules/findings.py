@@ -10,14 +10,14 @@ from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.rules.fact import Unknown
 from gpusimbench.evaluator.check.rules.facts import FACTS, applies, fact_of, point_of
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
-from gpusimbench.evaluator.check.rules.rule import Level, Rule, RuleSet, Scope
+from gpusimbench.evaluator.check.rules.rule import Rule, RuleSet, Scope, Severity
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.text import plural
 
 
 @dataclass(frozen=True)
-class Finding:
+class BrokenRule:
     """A broken rule.
 
     files  that break it: one, or for rules of several files those that stand out
@@ -64,25 +64,25 @@ class Report:
 
     rule_sets: tuple[str, ...]
     files: tuple[Checked, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[BrokenRule, ...]
     unchecked: tuple[Unchecked, ...]
 
-    def count(self, level: Level) -> int:
+    def count(self, level: Severity) -> int:
         """Findings of a level."""
         return sum(finding.rule.level is level for finding in self.findings)
 
     @property
     def exit_code(self) -> ExitCode:
         """3 where a file is damaged or cannot be asked, else 4 where an error is found, else 0."""
-        errors = [finding.rule for finding in self.findings if finding.rule.level is Level.error]
-        if any(rule.damage for rule in errors) or any(u.rule.level is Level.error for u in self.unchecked):
+        errors = [finding.rule for finding in self.findings if finding.rule.level is Severity.error]
+        if any(rule.damage for rule in errors) or any(u.rule.level is Severity.error for u in self.unchecked):
             return ExitCode.DATA_LOST
         return ExitCode.GATE_FAILED if errors else ExitCode.OK
 
 
 def check(files: Sequence[Integrity], rule_sets: Sequence[RuleSet]) -> Report:
     """Ask every rule of every file, point and the set."""
-    findings: list[Finding] = []
+    findings: list[BrokenRule] = []
     unchecked: list[Unchecked] = []
     held = dict.fromkeys(range(len(files)), 0)
     rules = [rule for rule_set in rule_sets for rule in rule_set.rules]
@@ -91,7 +91,9 @@ def check(files: Sequence[Integrity], rule_sets: Sequence[RuleSet]) -> Report:
             if rule.of is Scope.file:
                 answer = _ask(rule, file)
                 held[index] += answer == ()
-                findings += [Finding(rule, (file.path,), "", found) for found in answer or () if isinstance(found, str)]
+                findings += [
+                    BrokenRule(rule, (file.path,), "", found) for found in answer or () if isinstance(found, str)
+                ]
                 unchecked += [Unchecked(rule, file.path, u.reason) for u in answer or () if isinstance(u, Unknown)]
     for rule in rules:
         if rule.of is Scope.set:
@@ -146,7 +148,7 @@ def _relevant(rule: Rule, file: Integrity) -> bool | Unknown:
     return scene if isinstance(scene, Unknown) else scene in rule.scenes
 
 
-def _ask_set(rule: Rule, files: Sequence[Integrity], of: str) -> Iterator[Finding]:
+def _ask_set(rule: Rule, files: Sequence[Integrity], of: str) -> Iterator[BrokenRule]:
     # what one file cannot tell is told by the rules of that file
     asked = [file for file in files if _relevant(rule, file) is True]
     values = {str(index): fact_of(rule.fact, file) for index, file in enumerate(asked)}
@@ -155,7 +157,7 @@ def _ask_set(rule: Rule, files: Sequence[Integrity], of: str) -> Iterator[Findin
         return
     predicate = SET_PREDICATES[rule.predicate]
     for found, keys in predicate.found(values, rule.argument, lambda key, name: fact_of(name, asked[int(key)])):
-        yield Finding(rule, tuple(asked[int(key)].path for key in keys), of, found)
+        yield BrokenRule(rule, tuple(asked[int(key)].path for key in keys), of, found)
 
 
 def points(files: Sequence[Integrity]) -> Iterable[tuple[str, list[Integrity]]]:

@@ -23,7 +23,7 @@ SHIPPED = ("integrity-1", "protocol-1", PROTOCOL)
 _MAX_BYTES = 1 << 20
 
 
-class Level(Enum):
+class Severity(Enum):
     """What a broken rule means."""
 
     error = "the command ends with another code than 0"
@@ -57,7 +57,7 @@ class Rule:
     """
 
     id: str
-    level: Level
+    level: Severity
     of: Scope
     fact: str
     predicate: str
@@ -155,7 +155,7 @@ def _rule(record: Any, number: int) -> Rule:
             raise UsageError(f"{name} does not take {argument!r}")
         return Rule(
             id=_text(record, "id"),
-            level=Level[_one_of(record, "level", [level.name for level in Level])],
+            level=Severity[_one_of(record, "level", [level.name for level in Severity])],
             of=scope,
             fact=fact,
             predicate=name,

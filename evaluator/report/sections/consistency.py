@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
@@ -65,8 +66,8 @@ def matrices(source: Source, results: Sequence[GroupResult]) -> tuple[list[Figur
     """Of the environments of each group's first complete run, and of its runs; all matrices of a page on one scale."""
     numbers = {id(r): number for number, r in enumerate(source.evaluation.results)}
     scale = _scale(source.shown)
-    envs = [_envs(r, f"matrix-envs-{numbers[id(r)]}", scale) for r in results]
-    runs = [_runs(r, f"matrix-runs-{numbers[id(r)]}", scale) for r in results]
+    envs = [_figure(r, _between_envs(r), f"matrix-envs-{numbers[id(r)]}", scale) for r in results]
+    runs = [_figure(r, _between_runs(r), f"matrix-runs-{numbers[id(r)]}", scale) for r in results]
     return envs, runs
 
 
@@ -86,41 +87,52 @@ def _why_no_matrix(result: GroupResult, name: str) -> str:
     return why_missing(metric.value) or why_missing(metric.of(BetweenEnvs).matrix_of) or "it was not computed"
 
 
-def _envs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Figure:
+@dataclass(frozen=True)
+class _Between:
+    """Distances between environments, or between runs, with all that their matrix shows.
+
+    of          "env" or "run"
+    metric      whose distances they are
+    values      [cm]; None where there is no matrix
+    classes     of bits, one number each; empty where they are not known, and `no_classes` says why
+    names       the numbers at the axes
+    """
+
+    of: str
+    metric: str
+    values: NDArray[np.float64] | None
+    classes: Sequence[int]
+    no_classes: str
+    names: Sequence[int]
+
+
+def _between_envs(result: GroupResult) -> _Between:
     distinct, distances = result.metrics["distinct_envs"], result.metrics["w1_parallel"].of(BetweenEnvs)
     values, drawn = distances.matrix_cm, distances.matrix_of
     of_runs = distinct.of(DistinctEnvs).classes
     classes = of_runs[drawn] if isinstance(drawn, int) and drawn < len(of_runs) else ()
     names = range(len(values)) if values is not None else ()
-    return _matrix(result, values, "env", "w1_parallel", classes, why_missing(distinct.value), names, key, scale)
+    return _Between("env", "w1_parallel", values, classes, why_missing(distinct.value), names)
 
 
-def _runs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Figure:
+def _between_runs(result: GroupResult) -> _Between:
     distinct, between = result.metrics["distinct_runs"].value, result.metrics["w1_run_to_run"].of(BetweenRuns)
     classes = () if isinstance(distinct, Missing) else between.classes or ()
-    why_not, names = why_missing(distinct), between.run_indices or ()
-    return _matrix(result, between.matrix_cm, "run", "w1_run_to_run", classes, why_not, names, key, scale)
+    values = between.matrix_cm
+    names: Sequence[int] = between.run_indices or ()
+    if values is not None and len(names) != len(values):
+        names = range(len(values))
+    return _Between("run", "w1_run_to_run", values, classes, why_missing(distinct), names)
 
 
-def _matrix(
-    result: GroupResult,
-    values: NDArray[np.float64] | None,
-    of: str,
-    name: str,
-    classes: Sequence[int],
-    no_classes: str,
-    names: Sequence[int],
-    key: str,
-    scale: matrix.Scale | None,
-) -> Figure:
+def _figure(result: GroupResult, between: _Between, key: str, scale: matrix.Scale | None) -> Figure:
+    values, of, classes, names = between.values, between.of, between.classes, between.names
     if values is None:
-        return Figure(result.label, f"No matrix: {_why_no_matrix(result, name)}.", None)
+        return Figure(result.label, f"No matrix: {_why_no_matrix(result, between.metric)}.", None)
     if len(values) > 1 and not values.any():
         return Figure(result.label, _all_zero(len(values), of, classes), None)
-    if len(names) != len(values):
-        names = range(len(values))
     svg = Markup(matrix.matrix_map(values, of=of, name=result.label, classes=classes, names=names, scale=scale))
-    said = f"{matrix.caption(values, of=of)} {_order(len(values), of, classes, no_classes, names)}"
+    said = f"{matrix.caption(values, of=of)} {_order(len(values), between)}"
     about = f"Distances between {of}s, {result.group.key.scene}"
     return Figure(result.label, said, svg, key, _numbers(values, of, classes, names), about)
 
@@ -136,12 +148,13 @@ def _all_zero(n: int, of: str, classes: Sequence[int]) -> str:
     return f"{apart}, in {count} classes of bits."
 
 
-def _order(n: int, of: str, classes: Sequence[int], no_classes: str, names: Sequence[int]) -> str:
-    """What order the rows stand in, and which of them are the same by bits."""
+def _order(n: int, between: _Between) -> str:
+    """What order the n rows stand in, and which of them are the same by bits."""
+    of, classes = between.of, between.classes
     if n < 2:
         return ""
     if len(classes) != n:
-        return f"In original order: {no_classes or 'classes of bits are not known'}."
+        return f"In original order: {between.no_classes or 'classes of bits are not known'}."
     count = len(set(classes))
     if count == 1:
         return f"All {n} {of}s are bit-identical at every captured step."
@@ -151,7 +164,7 @@ def _order(n: int, of: str, classes: Sequence[int], no_classes: str, names: Sequ
         return f"In original order, {count} classes of bits: larger matrices are drawn in blocks."
     said = []
     for number in range(min(count, _CLASSES)):
-        members = [names[i] for i, one in enumerate(classes) if one == number]
+        members = [between.names[i] for i, one in enumerate(classes) if one == number]
         plural = "s" if len(members) > 1 else ""
         said.append(f"class {matrix.letter(number)}: {of}{plural} {in_ranges(members, at_most=_PARTS)}")
     if count > _CLASSES:

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.render.figures.dot_plot import Dot, dot_plot, is_loga
 from gpusimbench.evaluator.render.numbers import figure, interval
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.scaling import steps_label
-from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.metrics import on_radar
 from gpusimbench.evaluator.results.ranking import Contender
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
@@ -87,7 +87,7 @@ def _mechanics(contenders: tuple[Contender, ...]) -> Figure:
             why_not = found.checks_missing if found else "no group of it ran under the shared conditions"
             missing.setdefault(why_not, []).append(name)
             continue
-        broken = found.of(Verdict.BROKEN)
+        broken = found.of(CheckVerdict.BROKEN)
         said = ", ".join(row.check.title for row in broken) or f"all {found.held} that could be made hold"
         dots.append(Dot(index, name, float(len(broken)), said=f"{name}: {said}"))
     return _picture(_MECHANICS, "checks", dots, missing, larger=False)

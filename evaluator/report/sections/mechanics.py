@@ -25,7 +25,7 @@ from gpusimbench.evaluator.render.document import (
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_groups, without
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.fidelity import DEMANDED, Fidelity, FidelityRow, Verdict
+from gpusimbench.evaluator.results.fidelity import DEMANDED, CheckVerdict, Fidelity, FidelityRow
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Measured
 from gpusimbench.schemas.text import plural
@@ -34,7 +34,7 @@ TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 _SAID = f"An opened row shows what each check measured. Tolerances are those of {NEWEST.value}."
-_TONES = {Verdict.HELD: Tone.GOOD, Verdict.BROKEN: Tone.BAD}
+_TONES = {CheckVerdict.HELD: Tone.GOOD, CheckVerdict.BROKEN: Tone.BAD}
 
 
 def fidelity_record(one: Fidelity) -> dict[str, Any]:
@@ -55,7 +55,7 @@ def _check(row: FidelityRow) -> dict[str, Any]:
 def cells(row: FidelityRow) -> tuple[str, ...]:
     """A measured check as the texts of a table's row, in the order of its titles."""
     unit = f" [{row.check.unit}]" if row.check.unit else ""
-    verdict = row.verdict.value.upper() if row.verdict is Verdict.BROKEN else row.verdict.value
+    verdict = row.verdict.value.upper() if row.verdict is CheckVerdict.BROKEN else row.verdict.value
     found = row.found
     assert found is not None
     if found.broken:
@@ -88,7 +88,7 @@ def remarks(one: Fidelity) -> list[str]:
             noted.setdefault(note, []).append(row.check.title)
     lines = [f"{', '.join(titles)}: {note}" for note, titles in noted.items()]
     reasons: dict[str, list[str]] = {}
-    for row in one.of(Verdict.NOT_APPLICABLE):
+    for row in one.of(CheckVerdict.NOT_APPLICABLE):
         reasons.setdefault(row.reason, []).append(row.check.title)
     return [*lines, *(f"not applicable: {', '.join(names)}: {why}" for why, names in reasons.items())]
 
@@ -106,7 +106,7 @@ def _in_ranges(notes: Sequence[str]) -> Iterator[str]:
 def section(source: Source) -> Section | Missing | None:
     """A row for each group, those with a broken check first; Missing where no check applies to any group."""
     checked = [r for r in source.shown if r.fidelity.checkable]
-    broken = [r for r in checked if r.fidelity.of(Verdict.BROKEN)]
+    broken = [r for r in checked if r.fidelity.of(CheckVerdict.BROKEN)]
     if not source.shown:
         return None
     if all(r.fidelity.checks_missing for r in source.shown):
@@ -116,7 +116,7 @@ def section(source: Source) -> Section | Missing | None:
     if broken:
         said = f"{len(broken)} of {plural(len(checked), 'group')} {'breaks' if len(broken) == 1 else 'break'} a check"
     columns: list[tuple[Column, Written]] = [
-        (Column("checks held", f"by the tolerances of {NEWEST.value}"), held),
+        (Column("checks held", f"by the tolerances of {NEWEST.value}"), checks_held),
         (Column("broken"), _broken),
     ]
     every = of_groups(
@@ -126,7 +126,7 @@ def section(source: Source) -> Section | Missing | None:
     return Section("mechanics", "Mechanics", (every,), said, folded=True)
 
 
-def held(result: GroupResult) -> Cell:
+def checks_held(result: GroupResult) -> Cell:
     """How many checks of a group hold, of those that could be made, and how many of all could not be made."""
     found = result.fidelity
     if found.checks_missing:
@@ -140,12 +140,12 @@ def held(result: GroupResult) -> Cell:
 
 
 def _broken(result: GroupResult) -> Cell:
-    return cell(", ".join(row.check.title for row in result.fidelity.of(Verdict.BROKEN)))
+    return cell(", ".join(row.check.title for row in result.fidelity.of(CheckVerdict.BROKEN)))
 
 
 def blocks(result: GroupResult, key: str) -> Iterator[Block]:
     """What each check of a group measured, in tables whose keys begin with `key`, and what must be known of them."""
-    told = [row for row in result.fidelity.rows if row.verdict is not Verdict.NOT_APPLICABLE]
+    told = [row for row in result.fidelity.rows if row.verdict is not CheckVerdict.NOT_APPLICABLE]
     demanded = [row for row in told if row.check.demanded]
     rest = [row for row in told if not row.check.demanded]
     if demanded:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gpusimbench.evaluator.metrics.levels import MAX_ULP, TOLERANCE_M, Level
+from gpusimbench.evaluator.metrics.levels import MAX_ULP, TOLERANCE_M, EqualityLevel
 from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.probe.arms import Arms, name_of
 from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
@@ -105,7 +105,7 @@ def evidence(finding: Finding) -> str:
 
 def _found(found: Found) -> str:
     pairs = plural(found.pairs, "pair")
-    if found.level is Level.BIT_IDENTICAL:
+    if found.level is EqualityLevel.BIT_IDENTICAL:
         return f"bit-identical: {pairs}, {plural(found.steps, 'step')}"
     parts = [f"from step {found.first_step}, {found.differing} of {pairs}"]
     if found.first is not None:
@@ -116,7 +116,10 @@ def _found(found: Found) -> str:
         parts.append(f"first by {how} ({where})" if first.step == found.first_step else f"{late} ({where})")
         if found.max_distance:
             parts.append(f"{scaled(found.max_distance, found.unit)} apart at step {found.at_step}")
-        if found.level is not Level.DIFFERENT:
-            limits = {Level.WITHIN_ULP: f"{MAX_ULP:g} ULP", Level.WITHIN_TOLERANCE: scaled(TOLERANCE_M, found.unit)}
+        if found.level is not EqualityLevel.DIFFERENT:
+            limits = {
+                EqualityLevel.WITHIN_ULP: f"{MAX_ULP:g} ULP",
+                EqualityLevel.WITHIN_TOLERANCE: scaled(TOLERANCE_M, found.unit),
+            }
             parts.append(f"never beyond {limits[found.level]}")
     return "; ".join(parts)

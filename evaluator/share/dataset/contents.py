@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.rules.findings import Report, check
-from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Level, Scope, load_rules
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Scope, Severity, load_rules
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -129,24 +129,24 @@ def check_up(path: Place, name: str = "") -> Checkup:
     file = examine(path)
     integrity = check([file], [load_rules(INTEGRITY)])
     protocol = check([file], [load_rules(PROTOCOL)])
-    findings = _told(integrity, Level.error)
-    unasked = [u for u in integrity.unchecked if u.rule.level is Level.error]
+    findings = _told(integrity, Severity.error)
+    unasked = [u for u in integrity.unchecked if u.rule.level is Severity.error]
     if not findings:
         findings = [f"{u.rule.id}: not checked, {u.reason}" for u in unasked]
     if name:
         findings = [finding.replace(str(path), name) for finding in findings]
-    damaged = unasked or any(f.rule.damage for f in integrity.findings if f.rule.level is Level.error)
+    damaged = unasked or any(f.rule.damage for f in integrity.findings if f.rule.level is Severity.error)
     alone = [f"{f.rule.id}: {f.found}" for f in protocol.findings if f.rule.of is Scope.file]
     return Checkup(
         outcome=DAMAGED if damaged else BROKEN if findings else WHOLE,
         content_hash="" if file.end is None else str(file.end.content_hash),
         findings=tuple(dict.fromkeys(findings)),
-        warnings=tuple(_told(integrity, Level.warning)),
+        warnings=tuple(_told(integrity, Severity.warning)),
         deviations=tuple(alone),
     )
 
 
-def _told(report: Report, level: Level) -> list[str]:
+def _told(report: Report, level: Severity) -> list[str]:
     return [f"{finding.rule.id}: {finding.found}" for finding in report.findings if finding.rule.level is level]
 
 

@@ -68,7 +68,7 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class SetProblem:
     """Something that is wrong, of which file, in a sentence."""
 
     kind: Kind
@@ -90,7 +90,7 @@ class Verification:
     """
 
     manifest: Manifest
-    findings: tuple[Finding, ...]
+    findings: tuple[SetProblem, ...]
     unchecked: tuple[str, ...]
     recordings: int
     bytes: int
@@ -139,7 +139,7 @@ class _Verifier:
         self._manifest = manifest
         self._data = data
         self._tolerance = tolerance
-        self._findings: list[Finding] = []
+        self._findings: list[SetProblem] = []
         self._unchecked: list[str] = []
         self._bytes = 0
         self._tables: list[str] = []
@@ -172,7 +172,7 @@ class _Verifier:
         )
 
     def _add(self, kind: Kind, path: str, said: str) -> None:
-        self._findings.append(Finding(kind, path, said))
+        self._findings.append(SetProblem(kind, path, said))
 
     def _checksums(self) -> None:
         try:

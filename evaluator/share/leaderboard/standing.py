@@ -12,7 +12,7 @@ from gpusimbench.evaluator.results.cost_metrics import common_memory, ranked_thr
 from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults, faults_anywhere
-from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, sweep_key
@@ -219,7 +219,7 @@ def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequ
     if not result.group.complete:
         reasons = dict.fromkeys(f"{e.status}: {e.reason}" for e in entries)
         return "; ".join(reasons)
-    if wrong := result.fidelity.of(Verdict.BROKEN):
+    if wrong := result.fidelity.of(CheckVerdict.BROKEN):
         sank = result.metrics["sank"]
         also = f" ({sunk:.3g} of {sank.of(SunkCubes).cubes})" if (sunk := known(sank.value)) else ""
         titles = "; ".join(row.check.title for row in wrong)

@@ -18,12 +18,12 @@ from gpusimbench.recorder.scenes.emit.deviations import (
     unlimited_speed,
 )
 from gpusimbench.recorder.scenes.model import ModelScene, choices, solver_options
+from gpusimbench.recorder.simulators.genesis.held_parameters import UNREAD, touching
 from gpusimbench.recorder.simulators.genesis.imported import ModelEnvironments
-from gpusimbench.recorder.simulators.genesis.made import UNREAD, touching
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
 from gpusimbench.recorder.simulators.mujoco.model import collides
-from gpusimbench.recorder.simulators.newton.made import colliding_bodies, different
+from gpusimbench.recorder.simulators.newton.mujoco_terms import colliding_bodies, different
 from gpusimbench.schemas.imported import PARAMETERS, Imported
 from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.text import few

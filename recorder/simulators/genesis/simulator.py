@@ -153,9 +153,9 @@ class Genesis(Slotted):
         if not isinstance(self.scene, ModelScene):
             return []
         from gpusimbench.recorder.simulators.genesis.deviations import deviations_of_model
-        from gpusimbench.recorder.simulators.genesis.made import held
+        from gpusimbench.recorder.simulators.genesis.held_parameters import held_parameters
 
-        self._imported = held(self._model, dt=self.dt)
+        self._imported = held_parameters(self._model, dt=self.dt)
         return deviations_of_model(self._model, self._imported, options)
 
     @contextmanager

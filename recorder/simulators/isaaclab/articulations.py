@@ -164,7 +164,7 @@ class ModelWorld(World):
         return self._layout.joined(states)
 
     def held(self, tree: Tree, name: str) -> tuple[Sequence[str], Sequence[str], NDArray[np.float32]]:
-        """See recorder.simulators.physx.made.Source."""
+        """See recorder.simulators.physx.held_parameters.Source."""
         from ovphysx.types import TensorType
 
         view = next(asset.root_view for asset, other in self._assets if other == tree)
@@ -177,7 +177,7 @@ class ModelWorld(World):
         return list(view.body_names), list(view.dof_names), rows[index]
 
     def link_poses(self) -> NDArray[np.float32]:
-        """See recorder.simulators.physx.made.Source."""
+        """See recorder.simulators.physx.held_parameters.Source."""
         found = reference_poses(self._model.compiled, self._origins)
         for asset, tree in self._assets:
             poses = asset.data.body_link_pose_w.torch.cpu().numpy()

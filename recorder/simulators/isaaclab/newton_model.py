@@ -14,7 +14,7 @@ from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.emit.usd import Apis, literal
 from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.newton.imported import Imported as Places
-from gpusimbench.recorder.simulators.newton.made import (
+from gpusimbench.recorder.simulators.newton.mujoco_terms import (
     Quantities,
     as_mujoco_has_it,
     bodies_of_solver,
@@ -25,7 +25,7 @@ from gpusimbench.recorder.simulators.newton.made import (
     joint_name,
     single_joints,
 )
-from gpusimbench.recorder.simulators.physx.made import Held, imported_of
+from gpusimbench.recorder.simulators.physx.held_parameters import Held, imported_of
 from gpusimbench.recorder.simulators.physx.model import Model
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
 from gpusimbench.recorder.simulators.physx.stage import emit_model

@@ -156,7 +156,7 @@ class Newton(Slotted):
 
     def _deviations(self) -> tuple[Deviation, ...]:
         from gpusimbench.recorder.simulators.newton.deviations import deviations
-        from gpusimbench.recorder.simulators.newton.made import deviations_of_import
+        from gpusimbench.recorder.simulators.newton.mujoco_terms import deviations_of_import
 
         known = deviations(self.scene, self.options)
         if self._world.imported is None:
@@ -318,17 +318,17 @@ class Newton(Slotted):
 
     def imported(self) -> Imported | None:
         """See Simulator.imported."""
-        from gpusimbench.recorder.simulators.newton.held import held
+        from gpusimbench.recorder.simulators.newton.held_parameters import held_parameters
 
         places = self._world.imported
         if places is None:
             return None
         worlds, name = self._worlds, self.options.solver
-        return held(worlds.model, worlds.solver, places, self._compiled.model, name=name, dt=self.dt)
+        return held_parameters(worlds.model, worlds.solver, places, self._compiled.model, name=name, dt=self.dt)
 
     def link_poses(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """See Simulator.link_poses: newton.eval_fk."""
-        from gpusimbench.recorder.simulators.newton.held import link_poses
+        from gpusimbench.recorder.simulators.newton.held_parameters import link_poses
 
         known, places = self.imported(), self._world.imported
         assert known is not None and places is not None

@@ -16,7 +16,13 @@ from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import own_options
 from gpusimbench.recorder.simulators.physx.articulations import Articulations
-from gpusimbench.recorder.simulators.physx.made import Held, Source, deviations_of_model, held, imported_of
+from gpusimbench.recorder.simulators.physx.held_parameters import (
+    Held,
+    Source,
+    deviations_of_model,
+    held_parameters,
+    imported_of,
+)
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
 from gpusimbench.recorder.simulators.physx.servos import Driven
 from gpusimbench.recorder.simulators.physx.session import Session
@@ -91,4 +97,4 @@ class Model:
         return list(self._held().added)
 
     def _held(self) -> Held:
-        return held(self.plan, self.driven.servos, self._source)
+        return held_parameters(self.plan, self.driven.servos, self._source)

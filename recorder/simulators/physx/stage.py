@@ -1,7 +1,7 @@
 """A compiled model file as a USD stage for PhysX, one environment of it.
 
 Written from MuJoCo's own compile, number by number, and not by a converter: what PhysX is given is known by
-construction, and what it has no place for is told (recorder.simulators.physx.made).
+construction, and what it has no place for is told (recorder.simulators.physx.held_parameters).
 """
 
 from __future__ import annotations

@@ -7,16 +7,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, verified
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
 from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser, say
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.commands.progress import stage
-from gpusimbench.schemas.errors import ExitCode, GsbError, NotARecording, UsageError
+from gpusimbench.schemas.errors import ExitCode, NotARecording, UsageError
 from gpusimbench.schemas.location import Place, place
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.read.recording import Recording
-    from gpusimbench.evaluator.replays.comparison import Compared
+    from gpusimbench.evaluator.replays.comparison import ReplayComparison
 
 _REQUIRED = ("bit-identical", "same-outcome")
 _READ = (
@@ -121,14 +121,17 @@ def parser() -> Parser:
     return p
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Replay, compare and print; returns the exit code."""
     from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.replays.comparison import compare, successes_of
     from gpusimbench.evaluator.replays.document import dump_json, replay_document
+    from gpusimbench.evaluator.runs.validation import verified
     from gpusimbench.recorder.demonstrations.formats import data_set_at
     from gpusimbench.replay.dataset import converted
+    from gpusimbench.replay.origin import given
     from gpusimbench.replay.parts import infos_of
+    from gpusimbench.replay.replaying import replayed
 
     check_target(arguments.json)
     _check_out(arguments.out)
@@ -141,11 +144,20 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UsageError("--episodes is of data sets; of a recording, all episodes are replayed")
     if arguments.make and arguments.keywords:
         raise UsageError("--set is of environments of Gymnasium's registry: put it into the function of --make")
-    (original,) = _original(arguments.file) if source is None else verified([converted(source, arguments)])
+    changed = given(arguments.keywords)
+    if source is None:
+        (original,) = _original(arguments.file)
+    else:
+        _check_data_set(arguments)
+        (original,) = verified([converted(source, arguments.env, changed, arguments.episodes)])
     success = arguments.success or ("success" if "success" in infos_of(original) else None)
     if success:
         successes_of(original, success, At(arguments.success_at))  # what it lacks is said before anything is replayed
-    made = arguments.against or place(str(_replayed(original, arguments, success)))
+    made = arguments.against
+    if made is None:
+        path = _target(original, arguments.out)
+        replayed(original, path, env=arguments.env, changed=changed, make=arguments.make, success=success, say=say)
+        made = place(str(path))
     (replay,) = verified([made])
     with stage("comparing episodes"):
         found = compare(original, replay, success=success, at=At(arguments.success_at), tolerance=arguments.tolerance)
@@ -153,49 +165,22 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return int(_exit_code(found, arguments.require))
 
 
+def _check_data_set(arguments: argparse.Namespace) -> None:
+    if arguments.against or arguments.make:
+        raise UsageError("a data set is replayed in an environment of Gymnasium's registry: give --env")
+    if arguments.episodes is not None and arguments.episodes < 1:
+        raise UsageError(f"--episodes is at least 1, not {arguments.episodes}")
+
+
 def _original(file: Place) -> list[Recording]:
+    from gpusimbench.evaluator.runs.validation import verified
+
     try:
         return verified([file])
     except NotARecording as error:
         if not (isinstance(file, Path) and file.is_file()):
             raise
         raise NotARecording(f"{error}; gsb-replay takes a {_READ}") from None
-
-
-def _replayed(original: Recording, arguments: argparse.Namespace, success: str | None) -> Path:
-    from gpusimbench.replay.dataset import require_gymnasium
-    from gpusimbench.replay.origin import given, origin_of
-    from gpusimbench.replay.parts import given_at_first, infos_of, parts_of, seed_of
-    from gpusimbench.schemas.text import plural
-
-    require_gymnasium()
-    from gpusimbench.recorder.vector.making import of_factory, registered
-    from gpusimbench.recorder.vector.open_loop import replay
-
-    path = _target(original, arguments.out)
-    parts, n_env = parts_of(original), original.configuration.n_env
-    if arguments.make:
-        say(f"replaying in what {arguments.make} makes")
-        envs = of_factory(arguments.make, n_env)
-    else:
-        origin = origin_of(original, arguments.env, given(arguments.keywords))
-        words = ", ".join(f"{name}={value!r}" for name, value in origin.keywords.items())
-        say(f"replaying in {plural(n_env, 'environment')} {origin.spec_id}({words})")
-        envs = registered(origin.spec_id, origin.keywords, n_env, vectorization=origin.vectorization)
-    how = {"seed": seed_of(original), "infos": infos_of(original), "dt": original.configuration.dt}
-    how["images"] = original.configuration.options.get("images", "numbers")
-    needed = success if success and given_at_first(original, success) else ""
-    with stage("replaying episodes"):
-        try:
-            replay(envs, path, parts, needed=needed, **how)
-        except UsageError:
-            path.unlink(missing_ok=True)  # of a step that could not be used
-            raise
-        except GsbError:
-            raise
-        except Exception as error:  # of the environment, whatever its kind
-            raise GsbError(f"the environment failed: {type(error).__name__}: {error}") from error
-    return path
 
 
 def _target(original: Recording, named: Path | None) -> Path:
@@ -212,10 +197,10 @@ def _check_out(path: Path | None) -> None:
         raise UsageError(f"--out takes the file to write; {path} is in no folder that exists ({path.parent})")
 
 
-def _exit_code(found: Compared, required: str) -> ExitCode:
-    from gpusimbench.evaluator.replays.verdict import Verdict
+def _exit_code(found: ReplayComparison, required: str) -> ExitCode:
+    from gpusimbench.evaluator.replays.verdict import EpisodeVerdict
 
-    allowed = [Verdict.IDENTICAL, *([Verdict.SAME] if required == _REQUIRED[1] else [])]
+    allowed = [EpisodeVerdict.IDENTICAL, *([EpisodeVerdict.SAME] if required == _REQUIRED[1] else [])]
     met = all(one.verdict in allowed for one in found.episodes)
     return ExitCode.OK if met else ExitCode.GATE_FAILED
 

@@ -2,36 +2,40 @@
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from gpusimbench.recorder.demonstrations.data_set import DataSet
-from gpusimbench.replay.origin import Origin, given, same_task, told_or_named
+from gpusimbench.replay.origin import Origin, same_task, told_or_named
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import UsageError
 
 
-def converted(source: DataSet, arguments: argparse.Namespace) -> Path:
-    """Write the recording of a data set; returns its path. UsageError where that is there, or the task is not known."""
+def converted(source: DataSet, env: str | None, changed: Mapping[str, Any], episodes: int | None = None) -> Path:
+    """Write the recording of a data set; returns its path.
+
+    env       id of Gymnasium's registry; None: that of the data set
+    changed   keywords of the environment, instead of those of the data set
+    episodes  how many of the first ones; None: all
+
+    UsageError where the recording is there already, or the task is not known.
+    """
     require_gymnasium()
     from gpusimbench.recorder.demonstrations.writing import write
     from gpusimbench.recorder.vector.making import registered
     from gpusimbench.recorder.vector.wrap import step_of
 
-    if arguments.against or arguments.make:
-        raise UsageError("a data set is replayed in an environment of Gymnasium's registry: give --env")
-    if arguments.episodes is not None and arguments.episodes < 1:
-        raise UsageError(f"--episodes is at least 1, not {arguments.episodes}")
     path = Path(f"{source.name}.mcap")
     if path.exists():
         raise UsageError(f"{path} exists: give it instead of the data set, or remove it")
-    told, named = source.made, given(arguments.keywords)
-    if told.wrappers and not arguments.env:
+    told = source.made
+    if told.wrappers and not env:
         raise UsageError(
             f"{source.path} was made with the wrappers {', '.join(told.wrappers)}: give --env to go without them"
         )
     of_file = Origin(told.spec_id, told.keywords, told.vectorization)
-    origin = told_or_named(str(source.path), of_file, arguments.env, named, "--env")
+    origin = told_or_named(str(source.path), of_file, env, changed, "--env")
     envs = registered(origin.spec_id, origin.keywords, 1, vectorization=origin.vectorization)
     try:
         space, dt = envs.single_observation_space, source.dt or step_of(envs)
@@ -39,8 +43,7 @@ def converted(source: DataSet, arguments: argparse.Namespace) -> Path:
         envs.close()
     with stage("reading the data set"):
         keywords = told.keywords if same_task(origin.spec_id, told.spec_id) else None  # those of the original
-        episodes = source.read(arguments.episodes, space)
-        write(episodes, path, source, spec_id=origin.spec_id, keywords=keywords, dt=dt)
+        write(source.read(episodes, space), path, source, spec_id=origin.spec_id, keywords=keywords, dt=dt)
     return path
 
 

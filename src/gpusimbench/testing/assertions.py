@@ -154,7 +154,7 @@ def _assert_rows(names: tuple[str, str], sides: tuple[dict[str, Rows], dict[str,
 def _assert_recordings(a: Any, b: Any) -> None:
     __tracebackhide__ = True
     from gpusimbench.evaluator.diff.compare import compare
-    from gpusimbench.evaluator.diff.result import Verdict
+    from gpusimbench.evaluator.diff.result import DiffVerdict
     from gpusimbench.evaluator.diff.sections import diff_document
     from gpusimbench.evaluator.runs.validation import verify
 
@@ -164,7 +164,7 @@ def _assert_recordings(a: Any, b: Any) -> None:
     found = compare(*recordings)
     n_env = [recording.configuration.n_env for recording in recordings]
     whole = not (found.compared.left_out or found.lost) and n_env[0] == n_env[1]
-    if found.verdict is Verdict.IDENTICAL and whole:
+    if found.verdict is DiffVerdict.IDENTICAL and whole:
         return
     text = _text(diff_document(found))
     if n_env[0] != n_env[1]:

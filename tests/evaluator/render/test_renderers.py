@@ -38,9 +38,10 @@ from gpusimbench.evaluator.render.document import (
     table,
     walk,
 )
+from gpusimbench.evaluator.render.formats import Format
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.render.markdown import prose, render_markdown
-from gpusimbench.evaluator.render.table_files import Format, as_csv, as_latex, table_files
+from gpusimbench.evaluator.render.table_files import as_csv, as_latex, table_files
 from gpusimbench.evaluator.render.terminal import print_blocks, print_document
 from gpusimbench.schemas.text import line
 from tests.browser import Browser, needs_chromium

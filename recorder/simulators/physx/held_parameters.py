@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.scenes.model import solver_options
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
 from gpusimbench.recorder.simulators.mujoco.model import collides
-from gpusimbench.recorder.simulators.newton.made import Quantities, as_mujoco_has_it, different
+from gpusimbench.recorder.simulators.newton.mujoco_terms import Quantities, as_mujoco_has_it, different
 from gpusimbench.recorder.simulators.physx.contacts import apart, friction_of, frictions, may_touch
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
 from gpusimbench.recorder.simulators.physx.servos import Servo
@@ -45,7 +45,7 @@ _OFF = (
 class Held:
     """What PhysX holds, the first environment.
 
-    quantities  as of newton.made.as_mujoco_has_it: rows of all bodies but the world, and of all joints that are not
+    quantities  as of as_mujoco_has_it: rows of all bodies but the world, and of all joints that are not
                 free; what PhysX does not tell is left out. Bodies that never move are not in it: their rows are
                 MuJoCo's
     added       names and masses of links that are no bodies of the model's
@@ -67,7 +67,7 @@ class Source(Protocol):
         MuJoCo has them, beside each environment's origin."""
 
 
-def held(plan: Plan, servos: dict[int, Servo], source: Source) -> Held:
+def held_parameters(plan: Plan, servos: dict[int, Servo], source: Source) -> Held:
     """Read it from the engine's tensors."""
     model = plan.model
     found = {name: array.copy() for name, array in as_mujoco_has_it(model).items()}

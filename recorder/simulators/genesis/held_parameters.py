@@ -27,7 +27,7 @@ UNREAD = {
 }
 
 
-def held(environments: ModelEnvironments, *, dt: float) -> Imported:
+def held_parameters(environments: ModelEnvironments, *, dt: float) -> Imported:
     """The parameters that Genesis holds, by MuJoCo's names.
 
     What has no effect in the model, as friction against turning of a geom whose condim has none, is MuJoCo's.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
 from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.newton.imported import Imported as Places
-from gpusimbench.recorder.simulators.newton.made import UNREAD, as_newton_has_it, colliding_bodies
+from gpusimbench.recorder.simulators.newton.mujoco_terms import UNREAD, as_newton_has_it, colliding_bodies
 from gpusimbench.recorder.simulators.warp import worlds
 from gpusimbench.schemas.imported import PARAMETERS, Imported, Values
 
@@ -29,7 +29,7 @@ _UNLIMITED = 1e6  # [N m or N] Newton's default stands for no limit
 _OF_DOFS = {"armature": "joint_armature", "damping": "joint_damping", "frictionloss": "joint_friction"}
 
 
-def held(newton_model: Any, solver: Any, places: Places, model: Any, *, name: str, dt: float) -> Imported:
+def held_parameters(newton_model: Any, solver: Any, places: Places, model: Any, *, name: str, dt: float) -> Imported:
     """What a newton.Model holds, the first of its worlds.
 
     solver  that was made of it
