@@ -165,13 +165,12 @@ def test_other_makers_of_folders_are_killed(tmp_path: Path, temporary: Path, pro
     assert process.stdin is not None
     process.stdin.write(b'{"code": ""}\n')
     process.stdin.flush()
-    deadline = time.monotonic() + 60
-    while not (made := [*temporary.glob("gsb-[!n]*")]) and time.monotonic() < deadline:  # not those without a lock yet
-        time.sleep(0.01)
+    wait_for(lambda: any(temporary.glob("gsb-[!n]*")))  # not those without a lock yet
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    assert made
-    while any(temporary.iterdir()) and time.monotonic() < deadline:  # a run that was begun removes its own folder
+
+    def removed() -> bool:
         scratch.remove_abandoned()
-        time.sleep(0.01)
-    assert list(temporary.iterdir()) == []
+        return not any(temporary.iterdir())
+
+    wait_for(removed)  # a run that was begun removes its own folder
