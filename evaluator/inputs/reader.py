@@ -15,7 +15,6 @@ from gpusimbench.evaluator.compute.cache import Store
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.metrics.cotenants import CoTenants, cotenants
 from gpusimbench.evaluator.metrics.levels import AxisVerdict, verdict
-from gpusimbench.evaluator.metrics.throughput import changes_states
 from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.episodes import count_episodes
@@ -24,7 +23,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
 from gpusimbench.evaluator.read.stamp import Stamp, stamp_of
 from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
-from gpusimbench.evaluator.read.streams import Fingerprints
+from gpusimbench.evaluator.read.streams import Fingerprints, of_both_phases
 from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_memory
 from gpusimbench.evaluator.runs.outcome import outcome_of
 from gpusimbench.evaluator.runs.physics.depth import count_sunk
@@ -150,7 +149,7 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
         capture_s=timing["capture"].elapsed_s if "capture" in timing else Missing("the capture was not clocked"),
         stalled_s=timing["stall"].total_s if "stall" in timing else 0.0,
         histories=histories,
-        observed=_observed(captured, recording.fingerprints("timed")),
+        observed=_observed(recording.fingerprints("timed"), captured, recording.configuration.intervention),
         positions=positions,
         joints=sample_joints(recording, sample_time),
         reached=_reached(recording, sample_time),
@@ -226,12 +225,11 @@ def _doubt(recording: Recording, positions: Positions | Missing) -> UnitDoubt | 
     return unit_doubt(planar, unit, [str(name) for name in names], extent)
 
 
-def _observed(captured: Fingerprints | None, timed: Fingerprints | None) -> bool | Missing:
-    nothing_common = Missing("no step was passed by both the timed and the capture phase")
-    if captured is None or timed is None:
-        return nothing_common
-    changed = changes_states(timed.steps, timed.hashes, captured.steps, captured.hashes)
-    return nothing_common if changed is None else changed
+def _observed(timed: Fingerprints | None, captured: Fingerprints | None, intervention: str) -> bool | Missing:
+    steps, at_timed, at_captured = of_both_phases(timed, captured, intervention)
+    if not len(steps):
+        return Missing("no step was passed by both the timed and the capture phase")
+    return bool((at_timed != at_captured).any())
 
 
 @dataclass(frozen=True)

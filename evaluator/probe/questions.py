@@ -20,6 +20,7 @@ from gpusimbench.evaluator.probe.arms import Arms, arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding, decided_alone, first_of, same_slots, worst_of
 from gpusimbench.evaluator.probe.pairs import Found, Pairs, compare_pairs
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.streams import of_both_phases
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.text import bound, plural
@@ -265,14 +266,13 @@ def _neighbours(arms: Arms) -> Asked | Missing:
 def _captured(arms: Arms) -> Asked | Missing:
     """The timed phase, in which nobody looks at states, with the capture: by hashes."""
     for run in (*arms.plain, *arms.varied):
-        timed, captured = run.fingerprints("timed"), run.fingerprints("capture")
-        if timed is None or captured is None:
-            continue
-        steps, at_a, at_b = np.intersect1d(captured.steps, timed.steps, return_indices=True)
-        steps, at_a, at_b = (array[steps > 0] for array in (steps, at_a, at_b))
+        phases = run.fingerprints("timed"), run.fingerprints("capture")
+        steps, timed, captured = of_both_phases(*phases, run.configuration.intervention)
+        begun = steps > 0
+        steps, timed, captured = steps[begun], timed[begun], captured[begun]
         if not steps.size:
             continue
-        differ = captured.hashes[at_a] != timed.hashes[at_b]
+        differ = captured != timed
         apart = np.flatnonzero(differ.any(axis=1))
         first = int(steps[apart[0]]) if apart.size else None
         level = EqualityLevel.BIT_IDENTICAL if first is None else EqualityLevel.DIFFERENT

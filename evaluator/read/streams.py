@@ -15,6 +15,7 @@ from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import decode_fingerprints
 from gpusimbench.schemas.checks import MAX_COUNT
 from gpusimbench.schemas.messages import enum_values
+from gpusimbench.schemas.treatment import Intervention
 
 _MAX_BYTES = 1 << 62
 _MAX_NS = 1 << 62  # differences of clocks stay within an int64
@@ -164,6 +165,23 @@ class Fingerprints:
 
     steps: NDArray[np.int64]
     hashes: NDArray[np.uint64]
+
+
+def of_both_phases(
+    timed: Fingerprints | None, captured: Fingerprints | None, intervention: str
+) -> tuple[NDArray[np.int64], NDArray[np.uint64], NDArray[np.uint64]]:
+    """State hashes of the timed and the captured phase where they must agree: at the steps that both passed, up to the
+    intervention of a RunConfiguration, which is made in the capture alone.
+
+    Steps [row], and hashes [row, env] of each phase; no rows where a phase has none.
+    """
+    if timed is None or captured is None:
+        none = np.empty((0, 0), dtype=np.uint64)
+        return np.empty(0, dtype=np.int64), none, none
+    steps, at_timed, at_captured = np.intersect1d(timed.steps, captured.steps, return_indices=True)
+    done = Intervention.of(intervention)
+    rows = slice(None if done is None else int(np.searchsorted(steps, done.step, side="right")))
+    return steps[rows], timed.hashes[at_timed[rows]], captured.hashes[at_captured[rows]]
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,7 @@ def _uniform(label: str, scene: str, found: LawCounts) -> Law | Unmeasured:
         label=label, scene=scene, key=found.key, title=found.title, unit="", count=count, of_envs=found.of,
         measured=test.statistic, predicted=float(test.degrees), difference=test.statistic - test.degrees, ci95=None,
         tolerance=test.critical - test.degrees, tolerance_formula=f"99.9 % of chi-squared; p = {test.p:.2g}",
-        held=test.statistic <= test.critical, sensitivities=(load,), sd=0.0,
+        held=bool(test.statistic <= test.critical), sensitivities=(load,), sd=0.0,
         left_out=(found.absent,) if count < found.of else (), p_value=test.p,
     )  # fmt: skip
 
@@ -170,11 +170,11 @@ def _law(label: str, scene: str, runs: Sequence[LawValues]) -> Law | Unmeasured:
     off = measured[there] - predicted[there]
     mean, error = float(off.mean()), standard_error(off) or 0.0
     scale = float(np.abs(measured[there]).max(initial=0.0))
-    tolerance = max(run.tolerance for run in alike)
+    tolerance = float(max(run.tolerance for run in alike))
     exact = not error > max(_ROUNDING * scale, _ALIKE * tolerance)
     half = float(stdtrit(count - 1, 0.975)) * error if count > 1 else 0.0
     low, high = mean - half, mean + half
-    held = (low <= tolerance and high >= -tolerance) if judged else None
+    held = bool(low <= tolerance and high >= -tolerance) if judged else None
     uneven = dict(first.uneven)
 
     def sensitivity(parameter: str, slope: float) -> Sensitivity:

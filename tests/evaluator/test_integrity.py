@@ -19,6 +19,8 @@ from gpusimbench.evaluator.check.integrity.problem import DAMAGE, MAX_KEPT, REMA
 from gpusimbench.evaluator.check.integrity.scan import scan
 from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.rule import Severity, load_rules
+from gpusimbench.evaluator.inputs.reader import read_run
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.recorder.capture import state_work
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, FailedCrc
@@ -507,3 +509,13 @@ def test_phases_that_differ_are_told_with_their_level(level: str, tmp_path: Path
     (found,) = (one for one in report.findings if one.rule.id == "observer")
     assert found.found == f"at step 2, in 2 of 2 environments; recorded at level {level}"
     assert "at level default: " in found.rule.do and "at another level, " in found.rule.do
+
+
+@pytest.mark.parametrize(("intervention", "differs"), [("reset@1", False), ("reset@2", True)])
+def test_phases_may_differ_behind_an_intervention(intervention: str, differs: bool, tmp_path: Path) -> None:
+    """Compare no state that the capture has changed by an intervention, which the timed phase does not make."""
+    parts = WRITTEN["observer"] | {"change": configured(intervention=intervention)}
+    path = write_recording(tmp_path, grid(2), elapsed_s=1.0, **parts)
+    assert ("observer" in broken(path)) is differs
+    observed = read_run(open_recording(path), 0.02).observed
+    assert observed is True if differs else isinstance(observed, Missing)

@@ -29,6 +29,7 @@ from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 from gpusimbench.recorder.simulators.sapien.simulator import Sapien
 from gpusimbench.recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
+from gpusimbench.recorder.simulators.snapshot import Extent
 from gpusimbench.schemas.errors import UsageError
 
 IMPACT = 80  # steps after which the ball has met the cubes of inclined-collision
@@ -49,6 +50,11 @@ def built(simulator: Simulator) -> Iterator[Description]:
         yield simulator.build()
     finally:
         simulator.close()
+
+
+def same(one: States, other: States) -> bool:
+    """Whether two states have the same bits."""
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 def test_its_defaults_are_maniskills() -> None:
@@ -83,10 +89,29 @@ def test_more_environments_need_the_library_for_gpus(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr("requests.get", lambda *_, **__: pytest.fail("something is downloaded"))
     simulator = made(make_scene("free-fall"), n_env=2)
-    with pytest.raises(UsageError, match=r"libPhysXGpu_64\.so, which is not there"):
+    with pytest.raises(UsageError, match=r"on the CPU \(--n-env 1\), and 2 on a GPU;.*libPhysXGpu_64\.so, which is"):
         simulator.build()
     simulator.close()
     assert not (tmp_path / ".sapien").exists()
+
+
+def test_the_environment_is_saved_reset_and_set() -> None:
+    """Show the states that are brought back or given, where the CPU was asked for; else say that it has to be."""
+    simulator = made(make_scene("inclined-collision"), device="cpu")
+    assert ManiSkill.state_claims(simulator.options).reset.extent is Extent.PARTIAL
+    assert "--option device=cpu" in ManiSkill.state_claims(ManiSkillOptions()).reset.why
+    with built(simulator):
+        first = simulator.state()
+        simulator.step(IMPACT)
+        saved, snapshot = simulator.state(), simulator.snapshot()
+        simulator.step(5)
+        assert not same(simulator.state(), saved)
+        simulator.restore(snapshot)
+        assert same(simulator.state(), saved)
+        simulator.reset()
+        assert same(simulator.state(), first)
+        simulator.set_state(saved)
+        assert same(simulator.state(), saved)
 
 
 def test_steps_that_are_no_frequency_are_refused() -> None:

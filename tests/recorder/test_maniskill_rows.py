@@ -13,6 +13,7 @@ pytest.importorskip("torch")
 import torch
 
 from gpusimbench import UsageError, open_recording, wrap
+from gpusimbench.recorder.vector.device import rows as blocks
 from gpusimbench.recorder.vector.device.torch_rows import TorchRows
 
 
@@ -24,8 +25,9 @@ def kept(device: str) -> Any:
 
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
-def test_rows_come_as_they_were_kept(device: str) -> None:
+def test_rows_come_as_they_were_kept(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep what tensors had, whatever is written into them later, while blocks are still on their way to the host."""
+    monkeypatch.setattr(blocks, "_WAIT_S", 0.0)  # blocks of 50 rows, whatever time the steps take
     rows, generator = TorchRows(), np.random.default_rng(0)
     given = generator.normal(size=(333, 64, 9)).astype(np.float32)
     tensor = torch.zeros(64, 9, device=kept(device))

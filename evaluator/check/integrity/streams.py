@@ -9,6 +9,7 @@ import numpy as np
 
 from gpusimbench.evaluator.check.integrity.problem import Kind, Problems
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.streams import of_both_phases
 from gpusimbench.evaluator.runs.validation import demands
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
@@ -105,16 +106,13 @@ def _fingerprints(recording: Recording, problems: Problems) -> None:
 
 
 def _observer(recording: Recording, problems: Problems) -> None:
-    timed, captured = recording.fingerprints("timed"), recording.fingerprints("capture")
-    if timed is None or captured is None:
-        return
-    common, at_timed, at_captured = np.intersect1d(timed.steps, captured.steps, return_indices=True)
-    differ = timed.hashes[at_timed] != captured.hashes[at_captured]
-    for step, row in zip(common, differ, strict=True):
+    c = recording.configuration
+    phases = recording.fingerprints("timed"), recording.fingerprints("capture")
+    steps, timed, captured = of_both_phases(*phases, c.intervention)
+    for step, row in zip(steps, timed != captured, strict=True):
         if row.any():
             envs = f"{int(row.sum())} of {plural(len(row), 'environment')}"
-            level = recording.configuration.determinism
-            problems.add(Kind.observer, f"at step {step}, in {envs}; recorded at level {level}")
+            problems.add(Kind.observer, f"at step {step}, in {envs}; recorded at level {c.determinism}")
 
 
 def _status(recording: Recording, problems: Problems) -> None:

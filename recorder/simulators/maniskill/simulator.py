@@ -235,7 +235,10 @@ class ManiSkill(SapienStepper):
         try:
             check_gpu()
         except UsageError as error:
-            raise UsageError(f"ManiSkill steps {self.n_env} environments on a GPU; {error}") from None
+            if self.n_env == 1:
+                raise
+            more = f"ManiSkill steps one environment on the CPU (--n-env 1), and {self.n_env} on a GPU"
+            raise UsageError(f"{more}; {error}") from None
         import torch
         from mani_skill.utils.structs.types import GPUMemoryConfig
         from sapien import physx

@@ -134,7 +134,7 @@ class SapienStepper(Simulator):
     def state_claims(cls, options: Any) -> StateClaims:
         """See Simulator.state_claims."""
         if options.device != "cpu":
-            return StateClaims(*(absent("written for SAPIEN's environments on the CPU alone") for _ in range(4)))
+            return StateClaims(*(absent("implemented on the CPU only, with --option device=cpu") for _ in range(4)))
         return StateClaims(*(partial("contacts and friction anchors that PhysX keeps to itself") for _ in range(4)))
 
     @property
