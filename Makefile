@@ -50,6 +50,7 @@ lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy docs benchmarks recordings
 	$(BIN)/lint-imports
 
 # Hundreds of processes load the same modules, which are compiled once.

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from benchmarks.arguments import parser
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.statistics.energy import energy_distance
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
 from gpusimbench.evaluator.statistics.permutation import permutation_floor
@@ -58,7 +59,8 @@ def clouds(centres: Callable[[Generator, int], np.ndarray]) -> Callable[[Generat
 
     def matrix(rng: Generator, n_run: int) -> Matrix:
         points = np.sort(centres(rng, n_run)[:, None] + rng.normal(size=(n_run, POINTS)), axis=1)
-        return np.abs(points[:, None] - points[None]).mean(axis=2)
+        distances: Matrix = np.abs(points[:, None] - points[None]).mean(axis=2)
+        return distances
 
     return matrix
 
@@ -68,7 +70,8 @@ def outcomes(share: float) -> Callable[[Generator, int], Matrix]:
 
     def matrix(rng: Generator, n_run: int) -> Matrix:
         second = rng.random(n_run) < share
-        return (second[:, None] != second[None]).astype(float)
+        distances: Matrix = (second[:, None] != second[None]).astype(float)
+        return distances
 
     return matrix
 
@@ -121,7 +124,7 @@ def interval_rows(replications: int, rng: Generator) -> list[tuple[str, ...]]:
                     none += 1  # the evaluator gives no interval then
                     continue
                 found = jackknife_pair_mean(matrix)
-                assert found.ci95
+                assert not isinstance(found.ci95, Missing)
                 ends = (found.ci95, of_pairs(matrix), of_bootstrap(matrix, rng))
                 hits += [low <= law.mean <= high for low, high in ends]
             shares = hits / max(replications - none, 1)
@@ -282,14 +285,14 @@ def main() -> None:
     print(f"Seed {a.seed}, {a.replications} replications: a share of 95 % is known to "
           f"{100 * 1.96 * np.sqrt(0.95 * 0.05 / a.replications):.1f} %.\n")  # fmt: skip
     print("Intervals of 95 % for the mean distance of two runs: how many hold it\n")
-    head = ("law", "runs", "jackknife over runs", "pairs as independent", "bootstrap over runs", "no interval")
-    print(table(head, interval_rows(a.replications, rng)))
+    columns = ("law", "runs", "jackknife over runs", "pairs as independent", "bootstrap over runs", "no interval")
+    print(table(columns, interval_rows(a.replications, rng)))
     print("Permutation tests at 5 %: how many reject\n")
     head = ("law", "energy, whole envs", "W1, whole envs", "energy, points", "W1, points")
     print(table(head, permutation_rows(a.replications, rng)))
     print("Two configurations of one law, 5 runs each, at 5 %: how many are called different by the energy distance\n")
-    head = ("law", "whole runs exchanged", "whole envs exchanged", "points exchanged")
-    print(table(head, unit_rows(a.replications, rng)))
+    exchanged = ("law", "whole runs exchanged", "whole envs exchanged", "points exchanged")
+    print(table(exchanged, unit_rows(a.replications, rng)))
     scores, calibration = regime_rows(max(a.replications // 5, 1), rng)
     print("Probabilities of regimes where runs do not all agree: Brier score, and mean error of the scale\n")
     names = [m.value for m in Resampling]

@@ -41,7 +41,7 @@ def main() -> None:
         )  # fmt: skip
         files = sorted(str(f) for f in Path(folder).glob("*.mcap"))
         size = sum(Path(f).stat().st_size for f in files)
-        table, page, known, floor, worked = [], [], [], [], []
+        table, page, known, floor, worked = (list[float]() for _ in range(5))
         time.sleep(3)  # what was written a moment ago is not kept
         for _ in range(a.repeats):
             command = [sys.executable, "-m", "gpusimbench.evaluator.cli.eval", *files]

@@ -25,6 +25,7 @@ from gpusimbench.evaluator.compare.history.history import History, trace
 from gpusimbench.evaluator.compare.history.series import Point, Points
 from gpusimbench.evaluator.compute.work import HERE
 from gpusimbench.evaluator.inputs.reader import Reader, read_all
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.runs.groups import group
@@ -47,9 +48,10 @@ def deviations() -> list[float]:
     reader = Reader(5.0, verify=False)
     shipped = [*RECORDINGS.glob("*.mcap"), *(RECORDINGS / "h200").glob("*.mcap")]
     files = list(read_all(sorted(shipped), reader, HERE))
+    assert FPS.values is not None
     found = []
     for one in group([file for file in files if isinstance(file, ReadRun)]):
-        values = [float(value) for value in (FPS.values or list)(GroupRuns(one.complete)) if value]
+        values = [value for value in FPS.values(GroupRuns(one.complete)) if not isinstance(value, Missing)]
         if len(values) >= 3:
             found.append(float(np.std(np.log(values), ddof=1)))
     return sorted(found)

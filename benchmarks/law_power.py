@@ -148,7 +148,8 @@ def judged(values: tuple[LawValues | LawCounts, ...] | Missing, scene: str) -> d
 
 def differ(one: LawValues, other: LawValues) -> bool:
     """Whether a test of 5 % tells two recordings apart, by measured minus predicted of their environments."""
-    off = [np.subtract(law.measured, law.predicted) for law in (one, other)]
+    assert not isinstance(one.predicted, Missing) and not isinstance(other.predicted, Missing)
+    off = [np.subtract(one.measured, one.predicted), np.subtract(other.measured, other.predicted)]
     before, after = (values[np.isfinite(values)] for values in off)
     return bool(stats.mannwhitneyu(before, after).pvalue < 0.05)
 

@@ -39,7 +39,7 @@ _COMPILED = 10**9  # bytes from which on hashes are compiled, as in captures of 
 class Calls(NamedTuple):
     """What a thread did: calls, and seconds by the clock and asleep."""
 
-    count: int
+    made: int
     lasted: float
     asleep: float
 
@@ -47,14 +47,14 @@ class Calls(NamedTuple):
 def calls(until: threading.Event, found: list[Calls]) -> None:
     """Make calls of C, each with some Python, until the event."""
     call = ctypes.CDLL(None).getppid
-    began, count, before = time.perf_counter(), 0, sum(thread_seconds())
+    began, made, before = time.perf_counter(), 0, sum(thread_seconds())
     while not until.is_set():
         for _ in range(_ALIKE):
             call()
             sum(range(300))
-        count += _ALIKE
+        made += _ALIKE
     lasted = time.perf_counter() - began
-    found.append(Calls(count, lasted, lasted - (sum(thread_seconds()) - before)))
+    found.append(Calls(made, lasted, lasted - (sum(thread_seconds()) - before)))
 
 
 def beside(work: Callable[[], None]) -> Calls:
@@ -76,7 +76,11 @@ def written(states: States, fields: list[StateField], blocks: int, *, process: b
         writer = StateWriter(sink, fields, n_env=states[0].shape[1], dt=0.01, stride=1)
         writer.take(Held(states))  # what is started once
         writer.take(Held(states))
-        writing = Writing[Block](lambda block: writer.take(block.captured))
+
+        def take(block: Block) -> None:
+            writer.take(block.captured)
+
+        writing = Writing[Block](take)
 
         def write() -> None:
             for _ in range(blocks):
@@ -104,7 +108,7 @@ def main() -> None:
         idle.append(beside(lambda: time.sleep(_IDLE_S)))
         for process in (True, False) if number % 2 else (False, True):
             ours[process].append(written(states, fields, a.blocks, process=process))
-    base = min(one.lasted / one.count for one in idle)
+    base = min(one.lasted / one.made for one in idle)
     print(f"machine  {machine()}")
     print(
         f"blocks   {rows} steps, {a.n_env} envs, {_CUBES} cubes, {sum(array.nbytes for array in states) / 1e6:.0f} MB"
@@ -112,7 +116,7 @@ def main() -> None:
     print(f"idle     a call takes {base * 1e6:.2f} us")
     for process, name in ((True, "process"), (False, "threads")):
         found = ours[process]
-        print(f"{name}  a call takes, of idle       {spread([one.lasted / one.count / base for one in found])}")
+        print(f"{name}  a call takes, of idle       {spread([one.lasted / one.made / base for one in found])}")
         print(f"{name}  asleep, of the time         {spread([one.asleep / one.lasted for one in found])}")
         print(f"{name}  asleep for a block [ms]     {spread([one.asleep / a.blocks * 1e3 for one in found], 1)}")
 

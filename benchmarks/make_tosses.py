@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -58,7 +59,7 @@ def main() -> None:
         _throw(model, rng, rows)
         first.append(len(rows["position"]))
     path = Path(sys.argv[1]) if len(sys.argv) > 1 else SYNTHETIC
-    arrays = {name: np.array(values, dtype=np.float32) for name, values in rows.items()}
+    arrays: dict[str, Any] = {name: np.array(values, dtype=np.float32) for name, values in rows.items()}
     np.savez_compressed(path, first=np.array(first, dtype=np.int32), **arrays)
     print(f"{path}: {TOSSES} tosses, {first[-1]} rows, {path.stat().st_size} bytes")
 

@@ -178,10 +178,10 @@ class Step:
         return [read(atom) for atom in jaxpr.outvars]
 
     def _equation(self, equation: Any, smaller: Any, operands: list[Any]) -> list[Any]:
-        called = [e.params.get("jaxpr", e.params.get("call_jaxpr")) for e in (equation, smaller)]
+        many, few = (e.params.get("jaxpr", e.params.get("call_jaxpr")) for e in (equation, smaller))
         name = equation.primitive.name
         if name in ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"):
-            return self._run(*called, operands)
+            return self._run(many, few, operands)
         if name == "while":
             return self._loop(equation.params, smaller.params, operands)
         results = _results(equation, operands)
@@ -261,8 +261,9 @@ def parting(many: int, few: int, steps: int, device: str, columns: str) -> str:
     """The first step after which the first FEW of MANY environments differ from FEW alone."""
     import jax.scipy.linalg
 
-    solve, factor = {"cho_solve": by_columns}, {"cho_factor": factor_by_columns}
-    own = {"none": {}, "solve": solve, "factor and solve": solve | factor}[columns]
+    solve: dict[str, Any] = {"cho_solve": by_columns}
+    both = solve | {"cho_factor": factor_by_columns}
+    own = {"none": {}, "solve": solve, "factor and solve": both}[columns]
     with mock.patch.multiple(jax.scipy.linalg, **own) if own else nullcontext():
         step, data = batched_step(many, device)
         alone = first(data, few)

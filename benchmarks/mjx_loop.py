@@ -38,7 +38,7 @@ def loops(simulator: Mjx, n_step: int) -> dict[str, Loop]:
 
     physics, scene, n_env = simulator._physics, simulator.scene, simulator.n_env
     assert scene.actions is not None and simulator._draw is not None, "a scene with actions"
-    draw = simulator._draw
+    drawn_by, streams = simulator._draw, simulator._drawn_by()
     given = jax.device_put(scene.actions.draw(simulator.seed, n_env=n_env, first_step=WARMUP, n_step=n_step))
     state, no_bits = simulator._state, np.zeros(n_env, np.uint32)
     interval = simulator.timing_interval
@@ -49,6 +49,9 @@ def loops(simulator: Mjx, n_step: int) -> dict[str, Loop]:
 
     def scan(body: Callable[[Any, Any], Any]) -> Callable[..., Any]:
         return lambda data, xs: jax.lax.scan(lambda d, x: (body(d, x), None), data, xs, length=n_step)[0]
+
+    def draw(step: Any) -> Any:
+        return drawn_by(step, *streams)
 
     def counted(data: Any, n: Any) -> Any:
         return jax.lax.fori_loop(0, n, lambda i, d: physics.advance(d, draw(np.uint32(WARMUP) + i)), data)

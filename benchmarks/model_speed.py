@@ -52,6 +52,7 @@ def _recorded(asked: argparse.Namespace, out: Path) -> tuple[float, dict[str, in
     )  # fmt: skip
     (path,) = out.glob("*.mcap")
     recording = open_recording(path)
+    assert recording.simulation is not None
     rate = asked.n_env * asked.steps / recording.timing["timed"].window_s
     return rate, {buffer.name: buffer.asked for buffer in recording.simulation.buffers}, recording.simulation.device
 

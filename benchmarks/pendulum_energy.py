@@ -15,6 +15,7 @@ import math
 import tempfile
 from pathlib import Path
 
+from gpusimbench.evaluator.results.canonical import Law
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.recorder import cli
 
@@ -34,7 +35,8 @@ def measured(options: tuple[str, ...], folder: Path) -> tuple[float, float, floa
     code = cli.main([*asked, "--initial", "random:0.01", "--no-view", "--out", str(folder)])
     assert code == 0, f"gsb-record ended with {code}"
     [group] = evaluate_files(sorted(folder.glob("*.mcap"))).results
-    period, energy = group.laws
+    period, energy = (law for law in group.laws if isinstance(law, Law))
+    assert period.predicted is not None
     return period.measured, period.predicted, energy.measured
 
 

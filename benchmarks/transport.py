@@ -51,7 +51,7 @@ def _pot() -> Peer:
         largest = distance.max()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return float(ot.emd2(np.ones(n), np.ones(n), distance / largest, numItermax=10**9)) * largest / n
+            return float(ot.emd2(np.ones(n), np.ones(n), distance / largest, numItermax=10**9) * largest / n)
 
     return solve
 

@@ -88,7 +88,7 @@ def one_round(task: str, n_env: int, steps: int, path: Path, seed: int) -> Round
         spent[which] += closing[which]
     assert np.array_equal(*last)
     assert open_recording(path).status == "complete"
-    return Round(*spent, beginning=firsts[1] - firsts[0], closing=float(closing[1][0]))
+    return Round(spent[0], spent[1], beginning=firsts[1] - firsts[0], closing=float(closing[1][0]))
 
 
 def functional_round(task: Any, n_env: int, steps: int, path: Path, seed: int, *, physics: bool) -> Round:
@@ -122,7 +122,7 @@ def functional_round(task: Any, n_env: int, steps: int, path: Path, seed: int, *
         again = run(task, task.step(task.reset(keys), actions[0]))
         assert not np.array_equal(last[0], again), "the wrapped environment ends elsewhere, where the bare one does not"
     assert open_recording(path).status == "complete"
-    return Round(*spent, beginning=firsts[1] - firsts[0], closing=closing)
+    return Round(spent[0], spent[1], beginning=firsts[1] - firsts[0], closing=closing)
 
 
 def main() -> None:

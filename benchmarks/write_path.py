@@ -76,8 +76,8 @@ def floor(path: Path, blocks: Blocks) -> float:
     began = time.perf_counter()
     for states in blocks:
         for state in states:
-            zlib.crc32(state)
-            os.write(descriptor, state)
+            zlib.crc32(state.data)
+            os.write(descriptor, state.data)
     took = time.perf_counter() - began
     os.close(descriptor)
     return took

@@ -17,6 +17,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -53,7 +54,7 @@ def gather(folder: Path) -> None:
         texts[str(path.relative_to(ROOT))] = path.read_text(encoding="utf-8")
     code: set[str] = set()
     for name, text in sorted(texts.items()):
-        _write(folder / _place(name), with_links(text, lambda link, name=name: _resolve(link, name, texts, code)))
+        _write(folder / _place(name), with_links(text, partial(_resolve, page=name, texts=texts, code=code)))
     for name in sorted(code | {inside for folder in code for inside in _inside(folder)}):
         _write(folder / _source_place(name), _source_page(name))
     for path in (*(ROOT / "docs" / "site").iterdir(), *(ROOT / "docs" / "figures").iterdir()):

@@ -12,9 +12,12 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from page_blocks import redraw
 
 from gpusimbench import open_recording
@@ -99,8 +102,17 @@ def intervals_table() -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in [titles, ["---"] * len(titles), *rows])
 
 
-LAWS = {"normal": (np.random.Generator.normal, 0.0), "exponential": (np.random.Generator.exponential, 1.0)}
+LAWS: dict[str, tuple[Callable[..., NDArray[np.float64]], float]] = {
+    "normal": (np.random.Generator.normal, 0.0),
+    "exponential": (np.random.Generator.exponential, 1.0),
+}
 """Of the mean returns of environments: how to draw them, and their mean."""
+
+
+def means(values: NDArray[np.float64], cases: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Of the values of each set of cases, shape [draw]."""
+    drawn: NDArray[np.float64] = values[cases].mean(axis=1)
+    return drawn
 
 
 def held_returns(n_env: int, law: str) -> tuple[float, float]:
@@ -112,7 +124,7 @@ def held_returns(n_env: int, law: str) -> tuple[float, float]:
         values = draw(rng, size=n_env)
         ours = mean_interval(values, seed=seed)
         assert ours is not None
-        drawn = resampled(lambda cases, of=values: of[cases].mean(axis=1), n_env, seed=seed)
+        drawn = resampled(partial(means, values), n_env, seed=seed)
         plain = np.quantile(drawn, (0.025, 0.975))
         found.append([low <= mean <= high for low, high in (ours, plain)])
     ours, plain = np.mean(found, axis=0)

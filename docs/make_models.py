@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from page_blocks import redraw
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.diff.words import length
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.numbers import length
 
 ROOT = Path(__file__).resolve().parent.parent
 TIMES: dict[str, tuple[float, ...]] = {

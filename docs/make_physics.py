@@ -59,11 +59,11 @@ def shipped() -> list[tuple[Fidelity, float]]:
 def changed() -> str:
     """A row for each engine, scene and check whose verdict physics-2 changed, over all recordings that ship."""
     recordings = [one for path in sorted((ROOT / "recordings").rglob("*.mcap")) if (one := Recording(path)).usable]
-    groups, became = Counter[tuple[str, str, str]](), dict[tuple[str, ...], list[FidelityRow]]()
-    for one in group(recordings):
-        both = [fidelity("", [physics_of(run, revision=of) for run in one.complete]) for of in Revision]
+    groups, became = Counter[tuple[str, str, str]](), dict[tuple[str, str, str, str, str], list[FidelityRow]]()
+    for runs in group(recordings):
+        both = [fidelity("", [physics_of(run, revision=of) for run in runs.complete]) for of in Revision]
         for before, after in zip(both[0].rows, both[1].rows, strict=True):
-            where = (one.key.simulator, one.key.scene, before.check.title)
+            where = (runs.key.simulator, runs.key.scene, before.check.title)
             groups[where] += before.verdict is not CheckVerdict.NOT_APPLICABLE
             if before.verdict is not after.verdict:
                 became.setdefault((*where, before.verdict.value, after.verdict.value), []).append(after)
@@ -72,8 +72,10 @@ def changed() -> str:
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for (simulator, scene, title, old, new), rows in sorted(became.items()):
+        found = [row.found for row in rows if row.found is not None]
         counted = f"{len(rows)} of {groups[simulator, scene, title]}"
-        most, tolerance = (number(max(getattr(row.found, name) for row in rows)) for name in ("most", "tolerance"))
+        most = number(max((one.most for one in found if one.most is not None), default=None))
+        tolerance = number(max((one.tolerance for one in found), default=None))
         lines.append(f"| {simulator} | {scene} | {title} | {old} | {new} | {counted} | {most} | {tolerance} |")
     return "\n".join(lines)
 
@@ -110,7 +112,7 @@ def every_step(found: Sequence[tuple[Fidelity, float]], scene: str) -> str:
     lines = [f"| check | allowed | {' | '.join(heads)} |", f"| --- | --- {'| --- ' * len(heads)}|"]
     for check in Check:
         rows = [next((row for row in one.rows if row.check is check), None) for one, _ in chosen]
-        told = [row for row in rows if row is not None and row.verdict is not CheckVerdict.NOT_APPLICABLE]
+        told = [row.found for row in rows if row is not None and row.found is not None]
         if told:
             unit = f" [{check.unit}]" if check.unit else ""
             lines.append(f"| {check.title}{unit} | {allowed(told[0])} | {' | '.join(map(cell, rows))} |")

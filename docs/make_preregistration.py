@@ -198,7 +198,7 @@ def _pair(sides: Iterable[GroupResult], name: str, digits: int) -> str:
 
 def record(folder: Path) -> None:
     """Record the reference and both sides of every contrast, one run each, unless they are there already."""
-    wanted = [("real", ())] + [(name, ()) for name in ENGINES]
+    wanted: list[tuple[str, tuple[str, ...]]] = [("real", ()), *((name, ()) for name in ENGINES)]
     wanted += [(name, ("--option", f"{option}={value}")) for name, option, value in family()]
     for simulator, options in wanted:
         target = folder / "-".join([simulator, *options[1:]]).replace("=", "-")

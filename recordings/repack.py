@@ -2,7 +2,7 @@
 
 Chunks are compressed with zstd at level 19, and message indexes are left out, which every reader that goes through a
 file chunk by chunk does without. Messages, attachments and metadata stay as they are and in their order: the content
-hash of each file is computed anew and has to be the one that it had.
+hash of each file is computed anew and has to be the one that it had. A file that would not be smaller stays as it is.
 """
 
 from __future__ import annotations
@@ -36,6 +36,9 @@ def repack(path: Path) -> tuple[int, int]:
     if before.content_hash != after.content_hash:
         raise SystemExit(f"{path}: another content hash, {after.content_hash}; left as it was, see {small}")
     sizes = path.stat().st_size, small.stat().st_size
+    if sizes[1] >= sizes[0]:
+        small.unlink()
+        return sizes[0], sizes[0]
     small.replace(path)
     return sizes
 

@@ -121,7 +121,7 @@ def names_of(module: str) -> set[str]:
     return inside
 
 
-@pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples", "recordings", "tests"])
+@pytest.mark.parametrize("folder", ["examples", "tests"])
 def test_scripts_import_what_is_there(folder: str) -> None:
     """Import from the package what it has, in programs that run by hand and in tests of engines that are not installed:
     mypy reads neither."""

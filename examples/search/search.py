@@ -56,7 +56,8 @@ def near(observation: NDArray[np.float32]) -> NDArray[np.int64]:
     """The place of the hint, then those beside it, by turns on either side."""
     hint, tries = observation[:, 0], observation[:, 1]
     away = np.ceil(tries / 2) * np.where(tries % 2, 1, -1)
-    return (np.rint(hint) + away).astype(np.int64) % PLACES
+    places: NDArray[np.int64] = (np.rint(hint) + away).astype(np.int64) % PLACES
+    return places
 
 
 POLICIES: dict[str, Callable[[NDArray[np.float32]], NDArray[np.int64]]] = {"sweep": sweep, "near": near}

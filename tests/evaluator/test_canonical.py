@@ -232,7 +232,7 @@ def test_a_planted_error_is_broken_and_none_is_held() -> None:
     """Tell a shift of ten standard errors beyond the tolerance from none; leave out what did not take place."""
     noise = np.random.default_rng(1).normal(0.0, 0.001, 50)
     (right,) = laws("a", [_values([*(1.0 + noise), math.nan])])
-    assert isinstance(right, Law) and right.left_out == "it did not move"
+    assert isinstance(right, Law) and right.left_out == ("it did not move",)
     assert right.held and right.count == 50 and right.of_envs == 51
     (wrong,) = laws("a", [_values([*(1.02 + noise)])])
     assert (

@@ -76,7 +76,7 @@ def test_the_default_integrator_gives_a_large_swing_energy(tmp_path: Path) -> No
     assert isinstance(small, Law) and small.held
     # not equal to False alone: what follows from a broken law asks for it by "is"
     assert all(type(law.held) is bool for law in found.values() if isinstance(law, Law))
-    (group,) = evaluate_files([path]).groups
+    (group,) = evaluate_files([path]).results
     assert faults(group).laws.startswith("laws in closed form broken: energy of the large swing")
 
 

@@ -441,6 +441,9 @@ def test_every_fact_of_a_whole_run_is_known(small: Path) -> None:
         if name == "timed_throttled_share":  # of a GPU alone
             assert isinstance(value, Unknown)
             continue
+        if name == "recorder_modified" and not (ROOT / ".git").exists():  # of a checkout alone, not of an archive of it
+            assert isinstance(value, Unknown)
+            continue
         assert not isinstance(value, Unknown), name
         assert isinstance(value, (int, float) if fact.type.name == "number" else fact.type.value), name
         assert fact.meaning

@@ -28,5 +28,6 @@ def test_the_page_explains_every_check() -> None:
 
 @pytest.mark.slow
 def test_the_page_shows_what_the_recordings_say(making: Any) -> None:
-    """Hold the table to the shipped recordings; make figures redraws it."""
+    """Hold both tables to the shipped recordings; make figures redraws them."""
     assert making.at_the_end(making.shipped()) == drawn(making.SHIPPED, "shipped"), "run make figures"
+    assert making.changed() == drawn(making.SHIPPED, "changed by physics-2"), "run make figures"
