@@ -670,5 +670,5 @@ def test_equal_returns_have_no_bias(tmp_path: Path) -> None:
         choose(read_side([open_recording(tmp_path / "a.mcap")]), 3, None, At.LAST), Choice.GIVEN, None, At.LAST
     )
     early = finish_orders(found)["return"]
-    assert found.left_out and early.difference == 0 and not early.biased
+    assert found.n_left_out and early.difference == 0 and not early.biased
     assert "36 terminated, the other 0 truncated" in call("gsb-episodes", tmp_path / "a.mcap", "--per-env", 3).stdout
