@@ -162,7 +162,10 @@ class Newton(Slotted):
         if self._world.imported is None:
             return known
         built, solver = self._worlds.model, self._worlds.solver
-        own = deviations_of_import(built, solver, self._world.imported, self._compiled.model, self.options.solver)
+        own = deviations_of_import(
+            built, solver, self._world.imported, self._compiled.model, self.options.solver,
+            of_file=isinstance(self.scene, ModelScene),
+        )  # fmt: skip
         of_contacts = self._compiled.deviations if self.options.solver == "mujoco" else known
         return (*of_contacts, *own)
 
