@@ -164,6 +164,15 @@ def test_a_robot_of_a_scene() -> None:
 
 
 @pytest.mark.slow
+def test_its_own_contacts() -> None:
+    """Count the option 'gap' of Newton's own collision detection among the options, and not among the deviations."""
+    simulator, description = engines.build("newton", make_scene("franka"), n_env=1, use_mujoco_contacts=False)
+    simulator.close()
+    assert description.options["gap"] == 0.01
+    assert not [d.parameter for d in description.deviations if "gap" in d.parameter]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [name for name in FOR_MODELS if name != "mujoco"])
 def test_a_pendulum_on_other_solvers(solver: str) -> None:
     """Swing the pendulum, which has no servo, as on MuJoCo C; xpbd errs more at this step, so it is given less time."""
@@ -186,7 +195,7 @@ def _among_bodies() -> Scene:
         Body("floor", Plane(), wood, (0.0, 0.0, 0.0)),
         Body("ball-1", Sphere(0.05), rubber, (0.6, -0.4, 0.3), mass=0.3, group="balls"),
     )
-    return replace(make_scene("pendulum"), name="mixed", bodies=bodies, actions=None)
+    return replace(make_scene("pendulum"), name="mixed/1", bodies=bodies, actions=None)
 
 
 def test_materials_among_bodies() -> None:
