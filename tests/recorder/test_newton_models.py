@@ -217,6 +217,9 @@ def test_materials_among_bodies() -> None:
     said = {d.parameter: d.used for d in deviations(scene, NewtonOptions(solver="steel"))}
     assert said["joint.max_velocity"] == "not enforced"
     assert {"rubber.restitution", "wood.restitution", "steel.restitution"} <= set(said)
+    assert "joint.max_torque" not in said  # the pendulum has no servo
+    held = replace(make_scene("franka"), actions=None)
+    assert "joint.max_torque" in {d.parameter for d in deviations(held, NewtonOptions(solver="steel"))}
 
 
 @pytest.mark.slow

@@ -53,6 +53,9 @@ def deviations(scene: Scene, options: NewtonOptions) -> tuple[Deviation, ...]:
         ]
     if scene.robot is not None:
         found.append(unlimited_speed(scene.robot, "MJCF, by which Newton reads robots, has no velocity limits"))
+        if solver != "mujoco" and any(joint.stiffness or joint.damping for joint in scene.robot.joints()):
+            torques = " ".join(str(joint.max_torque) for joint in scene.robot.joints())
+            found.append(Deviation("joint.max_torque", torques, "not enforced", f"servos of {solver} have no limit"))
     return tuple(found)
 
 
