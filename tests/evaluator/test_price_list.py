@@ -206,7 +206,7 @@ def test_prices_in_a_terminal(tmp_path: Path) -> None:
     (table,) = (one for key, one in tables_of(evaluation).items() if key.startswith("prices"))
     (row,) = (one for name, one in rows_of(table).items() if "full" in name)
     speed, memory = row["throughput / that of the default"], row["memory / that of the default"]
-    assert (speed.text, memory.text, memory.range) == ("x 0.5", "x 2", "[2, 2]")
+    assert (speed.text, memory.text, memory.range) == ("x 0.5", "x 2", "[2 to 2]")
     assert speed.ci95 is not None
     assert any("3 of 3 runs are INVALID, so it has no price" in line for line in table.legend)
     assert "What determinism costs" in shown(evaluation)

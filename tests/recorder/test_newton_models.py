@@ -4,6 +4,7 @@ Newton has otherwise."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,14 @@ import numpy as np
 import pytest
 
 from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.scenes.base import Body, Material, Plane, Scene, Sphere
 from gpusimbench.recorder.scenes.model import ModelScene, model_scene
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import own_options
 from gpusimbench.recorder.simulators.newton.mujoco_terms import as_mujoco_has_it
-from gpusimbench.recorder.simulators.newton.options import FOR_MODELS
+from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, NewtonOptions
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.imported import PARAMETERS
@@ -49,15 +51,14 @@ def _written(folder: Path, body: str, rest: str = "") -> Path:
     return path
 
 
-def _imported(scene: ModelScene, solver: str = "mujoco") -> tuple[Any, MjcfModel]:
+def _imported(scene: Scene, solver: str = "mujoco", **more: Any) -> tuple[Any, MjcfModel]:
     from gpusimbench.recorder.simulators.newton.model import one_world
-    from gpusimbench.recorder.simulators.newton.options import NewtonOptions
     from gpusimbench.recorder.simulators.newton.solvers import register
     from gpusimbench.recorder.simulators.warp import runtime
 
     runtime.start("cpu")
     compiled = compile_scene(scene, dt=scene.dt, options=own_options(scene))
-    options = NewtonOptions(solver=solver)
+    options = NewtonOptions(solver=solver, **more)
     return one_world(scene, compiled, options, register(options)), compiled
 
 
@@ -163,6 +164,15 @@ def test_a_robot_of_a_scene() -> None:
 
 
 @pytest.mark.slow
+def test_its_own_contacts() -> None:
+    """Count the option 'gap' of Newton's own collision detection among the options, and not among the deviations."""
+    simulator, description = engines.build("newton", make_scene("franka"), n_env=1, use_mujoco_contacts=False)
+    simulator.close()
+    assert description.options["gap"] == 0.01
+    assert not [d.parameter for d in description.deviations if "gap" in d.parameter]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [name for name in FOR_MODELS if name != "mujoco"])
 def test_a_pendulum_on_other_solvers(solver: str) -> None:
     """Swing the pendulum, which has no servo, as on MuJoCo C; xpbd errs more at this step, so it is given less time."""
@@ -176,6 +186,59 @@ def test_a_pendulum_on_other_solvers(solver: str) -> None:
     swung = np.abs(others[0][-1] - others[0][0]).max()
     assert swung > 0.01
     np.testing.assert_allclose(states[0], others[0], atol=0.2 * swung if solver == "xpbd" else 1e-5)
+
+
+def _among_bodies() -> Scene:
+    """The pendulum, and a ball that rebounds from a floor beside it."""
+    rubber, wood = Material("rubber", 0.9, 0.8, 0.5), Material("wood", 0.5, 0.4, 0.0)
+    bodies = (
+        Body("floor", Plane(), wood, (0.0, 0.0, 0.0)),
+        Body("ball-1", Sphere(0.05), rubber, (0.6, -0.4, 0.3), mass=0.3, group="balls"),
+    )
+    return replace(make_scene("pendulum"), name="mixed/1", bodies=bodies, actions=None)
+
+
+def test_materials_among_bodies() -> None:
+    """Give every shape of a scene with a robot the scene's restitution, no friction against spinning or rolling, and
+    the stiffness that the options ask for, where solvers other than MuJoCo's read these of shapes."""
+    from gpusimbench.recorder.simulators.newton.deviations import deviations
+
+    scene = _among_bodies()
+    world, _ = _imported(scene, "steel", ke=5000.0, kd=7.0)
+    builder = world.builder
+    shapes = {label.rpartition("/")[2]: shape for shape, label in enumerate(builder.shape_label)}
+    assert {name: builder.shape_material_restitution[shape] for name, shape in shapes.items()} == {
+        "ball-1": 0.5, "floor": 0.0, "rod_0": 0.0, "stand_0": 0.0
+    }  # fmt: skip
+    assert builder.shape_material_mu[shapes["ball-1"]] == pytest.approx(0.8)
+    for shape in shapes.values():
+        assert builder.shape_material_mu_torsional[shape] == builder.shape_material_mu_rolling[shape] == 0
+        assert (builder.shape_material_ke[shape], builder.shape_material_kd[shape]) == (5000, 7)
+    said = {d.parameter: d.used for d in deviations(scene, NewtonOptions(solver="steel"))}
+    assert said["joint.max_velocity"] == "not enforced"
+    assert {"rubber.restitution", "wood.restitution", "steel.restitution"} <= set(said)
+    assert "joint.max_torque" not in said  # the pendulum has no servo
+    held = replace(make_scene("franka"), actions=None)
+    assert "joint.max_torque" in {d.parameter for d in deviations(held, NewtonOptions(solver="steel"))}
+
+
+@pytest.mark.slow
+def test_a_robot_among_bodies() -> None:
+    """Let a ball rebound beside a pendulum as in the same scene without the pendulum, and name no option or contact
+    parameter of MuJoCo's as the scene's."""
+    scene = _among_bodies()
+    found = []
+    for one in (scene, replace(scene, robot=None)):
+        simulator, description = engines.build("newton", one, n_env=1, solver="steel")
+        simulator.compile("capture")
+        states = simulator.states(60)
+        simulator.close()
+        at = [f.name for f in description.fields].index("balls/position")
+        found.append((states[at][:, 0, 0, 2], {d.parameter for d in description.deviations}))
+    (beside, said), (alone, said_alone) = found
+    np.testing.assert_allclose(beside, alone, atol=1e-4)
+    assert beside[24:].max() > 0.06  # higher than it rests
+    assert said - said_alone == {"steel.static_friction", "steel.restitution", "joint.max_velocity"}
 
 
 @pytest.mark.parametrize(

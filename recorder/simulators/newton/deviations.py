@@ -7,9 +7,10 @@ from gpusimbench.recorder.scenes.emit.deviations import (
     LARGER,
     MEAN,
     combination,
-    materials,
+    materials_and_robot,
     one_friction,
     other_restitution,
+    unlimited_speed,
 )
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 from gpusimbench.schemas.provenance import Deviation
@@ -45,11 +46,16 @@ def deviations(scene: Scene, options: NewtonOptions) -> tuple[Deviation, ...]:
     """The parameters that the chosen solver honours otherwise than the scene gives them, or not at all."""
     solver = options.solver
     found = [combination("friction", _FRICTION_OF_A_PAIR[solver], f"rule of {solver}")]
-    for material in materials(scene):
+    for material in materials_and_robot(scene):
         found += [
             one_friction(material, f"{_ONE_FRICTION}; {_STICTION[solver]}" if solver in _STICTION else _ONE_FRICTION),
             other_restitution(material, *_restitution(solver, options.rebounds, material.restitution)),
         ]
+    if scene.robot is not None:
+        found.append(unlimited_speed(scene.robot, "MJCF, by which Newton reads robots, has no velocity limits"))
+        if solver != "mujoco" and any(joint.stiffness or joint.damping for joint in scene.robot.joints()):
+            torques = " ".join(str(joint.max_torque) for joint in scene.robot.joints())
+            found.append(Deviation("joint.max_torque", torques, "not enforced", f"servos of {solver} have no limit"))
     return tuple(found)
 
 

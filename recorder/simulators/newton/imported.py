@@ -83,7 +83,7 @@ def _placed(scene: Scene, compiled: MjcfModel, folder: Path) -> Path:
 
 
 def _file(scene: Scene) -> str:
-    return scene.file if isinstance(scene, ModelScene) else f"{scene.name}.xml"
+    return scene.file if isinstance(scene, ModelScene) else "scene.xml"  # as it is called in the recording
 
 
 def _gravity_bit() -> int:

@@ -54,6 +54,8 @@ def one_world(scene: Scene, compiled: MjcfModel, options: NewtonOptions, registe
             shapes.ke, shapes.kd, shapes.kf = options.ke, options.kd, options.kf
 
         imported = import_mjcf(scene, compiled, direct=options.solver == "mujoco", prepare=prepare)
+        if scene.robot is not None and options.solver != "mujoco":
+            _give_materials(imported.builder, scene, options)
         return World(imported.builder, imported.layout, imported)
     world = newton.ModelBuilder(gravity=scene.gravity)
     register(world)
@@ -77,6 +79,16 @@ def build_model(world: World, *, n_env: int, options: NewtonOptions, register: C
 def detection_distance(options: NewtonOptions) -> float:
     """The gap of every shape [m]; MuJoCo's collision detection has none, as in MJCF."""
     return options.gap if options.own_contacts else 0.0
+
+
+def _give_materials(builder: Any, scene: Scene, options: NewtonOptions) -> None:
+    # MJCF has no restitution, and its solref and its friction against spinning and rolling are not the scene's
+    assert scene.robot is not None
+    for shape, label in enumerate(builder.shape_label):
+        materials = (body.material for body in scene.bodies if label.endswith(f"/{body.name}"))
+        builder.shape_material_restitution[shape] = next(materials, scene.robot.material).restitution
+        builder.shape_material_mu_torsional[shape] = builder.shape_material_mu_rolling[shape] = 0.0
+        builder.shape_material_ke[shape], builder.shape_material_kd[shape] = options.ke, options.kd
 
 
 def _add(builder: Any, body: Body, options: NewtonOptions) -> None:

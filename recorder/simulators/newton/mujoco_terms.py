@@ -106,11 +106,14 @@ def as_newton_has_it(newton_model: Any, imported: Imported, model: Any, solver: 
     return {name: array.astype(np.float64) for name, array in found.items()}
 
 
-def deviations_of_import(newton_model: Any, solver: Any, imported: Imported, model: Any, name: str) -> list[Deviation]:
+def deviations_of_import(
+    newton_model: Any, solver: Any, imported: Imported, model: Any, name: str, *, of_file: bool = True
+) -> list[Deviation]:
     """Where a model in Newton is not as MuJoCo compiles it.
 
-    solver  that was made of newton_model
-    name    of the solver
+    solver   that was made of newton_model
+    name     of the solver
+    of_file  the model is a file, which asks for MuJoCo's options and contact parameters; a registered scene does not
     """
     unread = UNREAD.get(name, ())
     wanted, found = as_mujoco_has_it(model), as_newton_has_it(newton_model, imported, model, name)
@@ -122,7 +125,7 @@ def deviations_of_import(newton_model: Any, solver: Any, imported: Imported, mod
         said += different(quantity, items[kind], (array, found[quantity]), reason)
     if name == "mujoco":
         return said + list(_of_mujoco(solver, imported, model))
-    return said + list(_not_of_others(model, name))
+    return said + list(_not_of_others(model, name, of_file))
 
 
 def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviation]:
@@ -229,8 +232,10 @@ def different_contacts(
             yield Deviation("contact.pairs", f"{few(listed, _SHOWN)} {word}", opposite, reason)
 
 
-def _not_of_others(model: Any, name: str) -> Iterator[Deviation]:
+def _not_of_others(model: Any, name: str, of_file: bool) -> Iterator[Deviation]:
     """What solvers other than MuJoCo's have nothing for."""
+    if not of_file:
+        return  # no scene has any of the following
     options = ", ".join(f"{key} {value}" for key, value in solver_options(model).items())
     yield Deviation("option", options, f"those of solver {name}", "they are of MuJoCo's integrator and solver")
     fluid = {key: getattr(model.opt, key) for key in ("density", "viscosity")}

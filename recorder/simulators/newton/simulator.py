@@ -162,7 +162,12 @@ class Newton(Slotted):
         if self._world.imported is None:
             return known
         built, solver = self._worlds.model, self._worlds.solver
-        own = deviations_of_import(built, solver, self._world.imported, self._compiled.model, self.options.solver)
+        own = deviations_of_import(
+            built, solver, self._world.imported, self._compiled.model, self.options.solver,
+            of_file=isinstance(self.scene, ModelScene),
+        )  # fmt: skip
+        if self.options.own_contacts:  # the option 'gap' is every shape's, and is recorded as an option
+            own = [deviation for deviation in own if not deviation.parameter.endswith(".gap")]
         of_contacts = self._compiled.deviations if self.options.solver == "mujoco" else known
         return (*of_contacts, *own)
 
