@@ -69,6 +69,8 @@ def recorded_steps(recording: Recording) -> NDArray[np.int64]:
 
 def nothing_shown(recording: Recording) -> str:
     """Why a recording without steps to show has none: a clause behind its name."""
+    if recording.failing is not None:
+        return "holds the last states of failing environments alone (--keep failing); gsb-info lists these environments"
     captured = any(len(recording.state(field.group, field.field)) for field in recording.fields)
     if not captured or _motion(recording, 0).fields:
         return "holds no states of bodies or joints; there is nothing to show"

@@ -150,6 +150,8 @@ def test_other_commands(poisoned: tuple[Path, Path], tmp_path: Path) -> None:
     assert "151  not finite  ball  ball/position x" in done.stdout
     (group,) = json.loads((tmp_path / "eval.json").read_text())["groups"]
     assert group["keep"] == "failing"
+    done = call("gsb-view", kept, "--no-open", "--out", tmp_path / "view.html", code=ExitCode.NOTHING_COMPARABLE)
+    assert "holds the last states of failing environments alone (--keep failing)" in done.stderr
 
 
 def _other_env(listed: Any) -> None:
