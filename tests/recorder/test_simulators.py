@@ -18,6 +18,7 @@ import pytest
 from gpusimbench.recorder.abilities import Ability
 from gpusimbench.recorder.conformance import CHECKS
 from gpusimbench.recorder.environments.store import find
+from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.simulators.registry import BUILT_IN, find_simulator
 
 _NO_BITS = {"overflow_stays_silent": "the adapter declares no overflow bits"}
@@ -170,7 +171,9 @@ def test_conforms(variant: Variant, check: str) -> None:
         expected["blocks_ahead_are_the_same"] = "begin_states is not overridden"
     if variant.simulator != "warp":
         expected["flights_hold_the_captured_states"] = "flight is not overridden"
-    abilities = find_simulator(variant.simulator).adapter().abilities
+    adapter = find_simulator(variant.simulator).adapter()
+    options = parse_options(variant.simulator, adapter.Options, dict(given.split("=") for given in variant.options))
+    abilities = adapter.abilities - adapter.withheld(options).keys()
     if Ability.VARIED_MASS not in abilities:
         expected |= _NO_PARAMETERS
     if Ability.ACTIONS not in abilities:
