@@ -130,7 +130,7 @@ def test_what_cannot_be_recorded(tmp_path: Path) -> None:
         (
             "        return True\n",
             "        torch.seed()\n",
-            "at step 2 (0.04 s) in env/action",
+            r"at step [2-6] \(0\.\d+ s\) in env/action",  # 8 actions of two kinds are the same once in 256 steps
             "optimizer, policy and all that the simulator returned are the same",
         ),
     ],
@@ -143,7 +143,7 @@ def test_the_cause_is_named(line: str, cause: str, where: str, same: str, tmp_pa
     (tmp_path / "train.py").write_text(text.replace(line, cause + line), encoding="utf-8")
     options = ("--json", "found.json", "--", sys.executable, "train.py", "--updates", "1", "--seed", "3")
     said = " ".join(call("gsb-run", *options, cwd=tmp_path, code=4).stdout.split())
-    assert f"Run 0 and run 1 part {where}" in said
+    assert re.search(f"Run 0 and run 1 part {where}", said), said
     assert same in said.partition(" program ")[0]
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["verdict"] == "different" and found["all_compared"]
