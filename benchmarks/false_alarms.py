@@ -139,7 +139,7 @@ def share(codes: Iterable[ExitCode], code: ExitCode = FAILED) -> str:
     k, n = found.count(code), len(found)
     low = stats.beta.ppf(0.025, k, n - k + 1) if k else 0.0
     high = stats.beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
-    return f"{k} of {n}: {k / n:.1%} [{low:.1%}, {high:.1%}]"
+    return f"{k} of {n}: {k / n:.1%} [{low:.1%} to {high:.1%}]"
 
 
 def shares(codes: Iterable[ExitCode]) -> str:
@@ -262,7 +262,7 @@ def _real_change(runs: Sequence[Run], name: str) -> str:
         for begin in range(0, min(len(base), len(head)) - half + 1, half)
     ]
     low, high = whole.ci95 or (0.0, 0.0)
-    found = f"{whole.ratio:.3f} [{low:.3f}, {high:.3f}]"
+    found = f"{whole.ratio:.3f} [{low:.3f} to {high:.3f}]"
     return f"| {CHANGES[name]} | {len(base)} and {len(head)} | {found} | {share(seen)} |"
 
 

@@ -108,7 +108,7 @@ def share(found: Iterable[bool]) -> str:
     k, n = sum(told), len(told)
     low = stats.beta.ppf(0.025, k, n - k + 1) if k else 0.0
     high = stats.beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
-    return f"{k} of {n}: {k / n:.1%} [{low:.1%}, {high:.1%}]"
+    return f"{k} of {n}: {k / n:.1%} [{low:.1%} to {high:.1%}]"
 
 
 def tables() -> Iterator[str]:
