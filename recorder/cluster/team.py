@@ -188,15 +188,15 @@ class _Worker:
 
     def _make(self, run: RunConfiguration, began: float) -> Result | None:
         # None where the run comes to its end elsewhere, or nowhere
-        task = self._request.task(run)
+        planned = self._request.planned(run)
 
         def report(phase: str, done: int, of: int) -> None:
             self._batch.news.put(Phase(run, phase, done, of))
 
         try:
-            last = self.seat.make(task, report, self._interruptions)
+            last = self.seat.make(planned, report, self._interruptions)
             wanted = self._batch.wait_turn(run)
-            result = self.seat.fetch(task, last, self._request.out, self._unwanted) if wanted else None
+            result = self.seat.fetch(planned, last, self._request.out, self._unwanted) if wanted else None
             self.seat.let_go()
         except Lost as error:
             why = f"{self.seat.name}: {error}"

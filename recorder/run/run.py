@@ -58,7 +58,6 @@ from gpusimbench.schemas.provenance import (
     SCENE,
     SIMULATION,
     Provenance,
-    ReplayOf,
 )
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED
 
@@ -107,12 +106,9 @@ class _Adapter:
 class Run:
     """Records one run into `path`.
 
-    run_id       unique (UUID4)
-    argv         the user's command
-    created      UTC, ISO 8601
+    provenance   what is known before the run's process begins; the run adds its machine and software
     log          returns what the engine printed so far
     reserved     the .partial file of `path` is there already, empty, made for this run
-    replay_of    the recording whose configuration it is
     inputs       files that the run is given, by the names that its recording attaches them under (INPUTS)
     interrupted  whether the one who started this process has interrupted it: an engine that handles signals itself may
                  keep them from this process
@@ -120,24 +116,20 @@ class Run:
 
     def __init__(
         self,
-        configuration: RunConfiguration,
+        provenance: Provenance,
         path: Path,
         *,
-        run_id: str,
-        argv: tuple[str, ...],
-        created: str,
         progress: Progress,
         log: Callable[[], bytes],
         reserved: bool = False,
-        replay_of: ReplayOf | None = None,
         inputs: Mapping[str, bytes] | None = None,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._configuration = configuration
+        self._configuration = provenance.configuration
         self._path = path
         self._progress = progress
         self._log = log
-        self._provenance = Provenance(run_id, created, argv, configuration, replay_of=replay_of)
+        self._provenance = provenance
         self._reserved = reserved
         self._inputs = inputs or {}
         self._interrupted = interrupted

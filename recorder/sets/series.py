@@ -12,10 +12,10 @@ from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.plan import prepare_folder, runs
 from gpusimbench.recorder.process.cage import Cage
-from gpusimbench.recorder.process.launch import Interruptions, Result
+from gpusimbench.recorder.process.launch import Interruptions, Result, make
+from gpusimbench.recorder.process.planned_run import PlannedRun, provenance_now
 from gpusimbench.recorder.sets.progress import Progress, make_progress, say
 from gpusimbench.recorder.sets.sweep import Outcome, Outcomes, Place, Sweep
-from gpusimbench.recorder.sets.task import Task, make
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import ReplayOf
@@ -49,9 +49,10 @@ class Request:
     cage: Cage | None = None
     inputs: Mapping[str, bytes] = field(default_factory=dict)
 
-    def task(self, run: RunConfiguration) -> Task:
+    def planned(self, run: RunConfiguration) -> PlannedRun:
         """One of the runs, to be made now."""
-        return Task(run, self.argv, self.replay_of, self.end_killed, self.cage, self.inputs)
+        provenance = provenance_now(run, self.argv, self.replay_of)
+        return PlannedRun(provenance, self.end_killed, self.cage, self.inputs)
 
 
 class Maker(Protocol):
@@ -93,7 +94,7 @@ class Here:
             def report(phase: str, done: int, of: int, index: int = run.run_index) -> None:
                 progress.update(index, phase, done, of)
 
-            result = make(request.task(run), request.out, self._interpreter, report, interruptions)
+            result = make(request.planned(run), request.out, self._interpreter, report, interruptions)
             progress.finish(result)
             yield run, result
             if interruptions.count:
