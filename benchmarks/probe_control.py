@@ -113,7 +113,7 @@ def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
     from gpusimbench.evaluator.probe.record import differing
     from gpusimbench.evaluator.read.recording import Recording
     from gpusimbench.recorder.command.arguments import parser
-    from gpusimbench.recorder.command.command import configure
+    from gpusimbench.recorder.command.configure import configure
     from gpusimbench.recorder.command.parser import fill
     from gpusimbench.schemas.location import place
 
