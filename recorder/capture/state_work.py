@@ -16,7 +16,7 @@ from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import fingerprint
-from gpusimbench.schemas.mcap.assembly import Part, Place, Records
+from gpusimbench.schemas.mcap.assembly import NextMessages, Part, Records
 
 PIECES = 8
 """Of a block, at least, to be shared among threads."""
@@ -63,7 +63,7 @@ class Stored(NamedTuple):
     columns: Sequence[Arrays]
     side_by_side: Sequence[Arrays] = ()
     memory: int = 0
-    place: Place | None = None
+    place: NextMessages | None = None
     whole: Arrays = ()
 
     @property

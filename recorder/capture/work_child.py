@@ -31,7 +31,7 @@ from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import in_one_thread, load_compiled
-from gpusimbench.schemas.mcap.assembly import CHUNK_BYTES, Assembly, Buffer, Part, Place, Records
+from gpusimbench.schemas.mcap.assembly import CHUNK_BYTES, Assembly, Buffer, NextMessages, Part, Records
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -74,7 +74,7 @@ class Order(NamedTuple):
     read    rows and first step of the rows to hash; None: no row
     """
 
-    stored: tuple[int, int, int, Place | None] | None
+    stored: tuple[int, int, int, NextMessages | None] | None
     read: tuple[int, int] | None
 
 
@@ -338,7 +338,7 @@ def messages_of(heads: Sequence[tuple[bytes, int]], arrays: Sequence[NDArray[np.
         yield Part(head), Part(raw_bytes(array), crc)
 
 
-def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Records:
+def assembled(place: NextMessages, messages: Iterable[Message], log_time: int) -> Records:
     """The records of messages, for their place in the file."""
     assembly = Assembly(place.offset)
     for channel, sequence, parts in zip(place.channels, place.sequences, messages, strict=True):

@@ -13,8 +13,8 @@ from gpusimbench.recorder.cluster.connection import Cluster, Lost, Node
 from gpusimbench.recorder.cluster.gathering import Spoiled, gather
 from gpusimbench.recorder.cluster.node import code
 from gpusimbench.recorder.process.launch import Interruptions, Result
-from gpusimbench.recorder.process.launch import Progress as Report
 from gpusimbench.recorder.process.planned_run import PlannedRun
+from gpusimbench.recorder.run.pace import Report
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 

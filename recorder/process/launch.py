@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from io import FileIO
@@ -22,12 +22,10 @@ from gpusimbench.recorder.plan import partial_of, release, reserve
 from gpusimbench.recorder.process.cage import Guard
 from gpusimbench.recorder.process.planned_run import PlannedRun
 from gpusimbench.recorder.process.scratch import OUTPUT, making, scratch_folder
-from gpusimbench.recorder.run.pace import BETWEEN
+from gpusimbench.recorder.run.pace import BETWEEN, Report
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.writing import create, write_file
-
-Progress = Callable[[str, int, int], None]
 
 GRACE_S = 30.0
 """How long a run that has timed out may take to bring its recording to an end [s]. An engine that sits in native code,
@@ -115,7 +113,7 @@ class Interruptions:
 
 
 def make(
-    planned: PlannedRun, folder: Path, interpreter: Interpreter, progress: Progress, interruptions: Interruptions
+    planned: PlannedRun, folder: Path, interpreter: Interpreter, progress: Report, interruptions: Interruptions
 ) -> Result:
     """Make the run in a fresh process of `interpreter`, its recording in `folder`.
 
@@ -136,7 +134,7 @@ def make(
 
 
 def _launch(
-    planned: PlannedRun, path: Path, interpreter: Interpreter, progress: Progress, interruptions: Interruptions
+    planned: PlannedRun, path: Path, interpreter: Interpreter, progress: Report, interruptions: Interruptions
 ) -> Result:
     configuration = planned.configuration
     try:
@@ -257,7 +255,7 @@ def _started(
 
 def _follow(
     child: subprocess.Popen[bytes], reports: Iterable[str], planned: PlannedRun, written: Iterable[Path],
-    progress: Progress, interruptions: Interruptions,
+    progress: Report, interruptions: Interruptions,
 ) -> _End:  # fmt: skip
     # written: files and folders whose size counts
     end, begun, timeout = _End(), time.monotonic(), planned.configuration.timeout
@@ -281,7 +279,7 @@ def _follow(
     return end
 
 
-def _hear(record: dict[str, Any], end: _End, timeout: float, deadline: _Deadline, progress: Progress) -> None:
+def _hear(record: dict[str, Any], end: _End, timeout: float, deadline: _Deadline, progress: Report) -> None:
     if "phase" not in record:
         end.last = record
         if timeout:

@@ -21,6 +21,7 @@ from gpusimbench.recorder.failure import NoHostMemory
 from gpusimbench.recorder.run.given_actions import begin_anew, prepare, write_applied
 from gpusimbench.recorder.run.intervention import Teacher, intervene
 from gpusimbench.recorder.run.journal import Journal
+from gpusimbench.recorder.run.pace import Report
 from gpusimbench.recorder.run.start import saved
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
@@ -89,7 +90,7 @@ class CapturePhase:
         self,
         journal: Journal,
         configuration: RunConfiguration,
-        progress: Callable[[str, int, int], None],
+        progress: Report,
         given: bytes | None = None,
     ) -> None:
         """given: the attachment GIVEN of the run."""

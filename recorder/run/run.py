@@ -38,7 +38,7 @@ from gpusimbench.recorder.run.flight_phase import FlightPhase
 from gpusimbench.recorder.run.given_actions import streams_of
 from gpusimbench.recorder.run.import_phase import write_imported, write_trials
 from gpusimbench.recorder.run.journal import Journal, Phase
-from gpusimbench.recorder.run.pace import COMPILE, REBUILD
+from gpusimbench.recorder.run.pace import COMPILE, REBUILD, Report
 from gpusimbench.recorder.run.timed_phase import warm_up_and_time
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model import ModelScene
@@ -64,12 +64,9 @@ from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED
 INPUTS = {GIVEN: MEDIA_TYPE, CONTROLS: MEDIA_TYPE, model_files.MODEL: model_files.MEDIA_TYPE}
 """Files that a run may be given, and the media type of each."""
 
-Progress = Callable[[str, int, int], None]
-"""Called with a phase, the steps done in it, and the steps that it has; with interruption.ENDING at the end."""
-
 
 @dataclass(frozen=True)
-class Outcome:
+class RunEnd:
     """How a run ended: COMPLETE, FAILED or INVALID, why, and a name of gsb.v1.Cause, empty when complete."""
 
     status: str
@@ -119,7 +116,7 @@ class Run:
         provenance: Provenance,
         path: Path,
         *,
-        progress: Progress,
+        progress: Report,
         log: Callable[[], bytes],
         reserved: bool = False,
         inputs: Mapping[str, bytes] | None = None,
@@ -134,8 +131,8 @@ class Run:
         self._inputs = inputs or {}
         self._interrupted = interrupted
 
-    def record(self) -> Outcome:
-        """Run all phases. DataLost where the file cannot be written; any other failure is an Outcome.
+    def record(self) -> RunEnd:
+        """Run all phases. DataLost where the file cannot be written; any other failure is a RunEnd.
 
         Takes over SIGINT and SIGTERM: the first ends the run, and none comes between the run and the file's end.
         """
@@ -157,7 +154,7 @@ class Run:
         except BaseException:
             sink.abandon()
             raise
-        return Outcome(status, reason, cause, self._path)
+        return RunEnd(status, reason, cause, self._path)
 
     def _guarded(self, journal: Journal, captured: CapturePhase | FlightPhase) -> tuple[str, str, str]:
         try:

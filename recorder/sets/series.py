@@ -14,8 +14,8 @@ from gpusimbench.recorder.plan import prepare_folder, runs
 from gpusimbench.recorder.process.cage import Cage
 from gpusimbench.recorder.process.launch import Interruptions, Result, make
 from gpusimbench.recorder.process.planned_run import PlannedRun, provenance_now
-from gpusimbench.recorder.sets.progress import Progress, make_progress, say
-from gpusimbench.recorder.sets.sweep import Outcome, Outcomes, Place, Sweep
+from gpusimbench.recorder.sets.progress import SetProgress, make_progress, say
+from gpusimbench.recorder.sets.sweep import Outcome, Outcomes, Sweep, SweepRun
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import ReplayOf
@@ -62,7 +62,7 @@ class Maker(Protocol):
         """Machine and software that runs are made with, as of recorder.sets.finished."""
 
     def make(
-        self, request: Request, planned: Sequence[RunConfiguration], progress: Progress, interruptions: Interruptions
+        self, request: Request, planned: Sequence[RunConfiguration], progress: SetProgress, interruptions: Interruptions
     ) -> Generator[tuple[RunConfiguration, Result], None, None]:
         """Make the runs and tell how each ended, in the order in which they end, the first of them before all others.
 
@@ -86,7 +86,7 @@ class Here:
         return where_am_i(self._interpreter)
 
     def make(
-        self, request: Request, planned: Sequence[RunConfiguration], progress: Progress, interruptions: Interruptions
+        self, request: Request, planned: Sequence[RunConfiguration], progress: SetProgress, interruptions: Interruptions
     ) -> Generator[tuple[RunConfiguration, Result], None, None]:
         """See Maker.make."""
         for run in planned:
@@ -164,7 +164,7 @@ def _record_sweep(request: Request, sweep: Sweep, maker: Maker, where: str) -> t
             ):
                 for run, result in made:
                     _show(request, result, progress)
-                    place = Place(n_env, run.run_index)
+                    place = SweepRun(n_env, run.run_index)
                     known[place] = _outcome(result)
                     results[place] = {**_json(run, result.path, known[place]), "found": False}
                     codes[n_env] = max(codes.get(n_env, ExitCode.OK), result.exit_code)
@@ -188,7 +188,7 @@ def _record_sweep(request: Request, sweep: Sweep, maker: Maker, where: str) -> t
     return int(code), {"sweep": summary, "runs": [results[place] for place in sorted(results)]}
 
 
-def _show(request: Request, result: Result, progress: Progress) -> None:
+def _show(request: Request, result: Result, progress: SetProgress) -> None:
     if not request.quiet and result.path:
         progress.path(result.path)
 
@@ -240,7 +240,7 @@ def _heading(sweep: Sweep, n_env: int, known: Outcomes) -> tuple[str, int, int]:
     )
 
 
-def _summary(sweep: Sweep, known: dict[Place, Outcome], cut: str) -> Json:
+def _summary(sweep: Sweep, known: dict[SweepRun, Outcome], cut: str) -> Json:
     points = [
         {"n_env": n_env, "n_run": sum(o.good for o in at), "n_recording": len(at)}
         for n_env in sweep.reached(known)
