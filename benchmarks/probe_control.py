@@ -113,7 +113,7 @@ def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
     from gpusimbench.evaluator.probe.record import differing
     from gpusimbench.evaluator.read.recording import Recording
     from gpusimbench.recorder.command.arguments import parser
-    from gpusimbench.recorder.command.command import configure
+    from gpusimbench.recorder.command.configure import configure
     from gpusimbench.recorder.command.parser import fill
     from gpusimbench.schemas.location import place
 
@@ -144,6 +144,7 @@ def record(jobs: Path) -> None:
     from gpusimbench.recorder.run.run import Run
     from gpusimbench.schemas.configuration import RunConfiguration
     from gpusimbench.schemas.mcap.reader import Container
+    from gpusimbench.schemas.provenance import Provenance
     from gpusimbench.schemas.treatment import GIVEN, snapshot_name
 
     for number, job in enumerate(json.loads(jobs.read_text())):
@@ -152,9 +153,8 @@ def record(jobs: Path) -> None:
         given = Container(Path(saved)).attachment(snapshot_name(c.first_step)) if saved else None
         path.parent.mkdir(parents=True, exist_ok=True)
         run = Run(
-            c, path, run_id=f"{number:032x}", argv=(),
-            created="2026-01-01T00:00:00Z", progress=lambda phase, done, of: None, log=lambda: b"",
-            inputs={} if given is None else {GIVEN: given},
+            Provenance(f"{number:032x}", "2026-01-01T00:00:00Z", (), c), path,
+            progress=lambda phase, done, of: None, log=lambda: b"", inputs={} if given is None else {GIVEN: given},
         )  # fmt: skip
         outcome = run.record()
         if outcome.status != "COMPLETE":

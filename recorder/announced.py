@@ -1,26 +1,69 @@
-"""What a program announces of its recording, checked before a file is made."""
+"""What a program announces of its recording: checked before a file is made, attached once there is one."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from gpusimbench.recorder.plan import check
+from gpusimbench.recorder.probes.software import package_list
+from gpusimbench.recorder.programs.folder import description
+from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.writer import COMPRESSIONS
-from gpusimbench.schemas.provenance import PACKAGES, PROGRAM, PROVENANCE, REAL, SCENE, SIMULATION, Simulation
+from gpusimbench.schemas.provenance import (
+    PACKAGES,
+    PROGRAM,
+    PROVENANCE,
+    REAL,
+    SCENE,
+    SIMULATION,
+    Provenance,
+    Simulation,
+)
 
 
-def check_announced(configuration: RunConfiguration, simulation: Simulation, attachments: Collection[str]) -> None:
-    """UsageError for what cannot be recorded, in words of the arguments of `log.RecordingWriter`.
+@dataclass(frozen=True)
+class Announced:
+    """What a program announces of its recording.
 
-    attachments  names of the program's own
+    scene        a description; None where the program has a name alone
+    attachments  the program's own: media type and bytes, by name
+    open_end     whether the number of steps is known only when the recording ends
     """
-    c, s = configuration, simulation
+
+    configuration: RunConfiguration
+    simulation: Simulation
+    scene: Scene | None
+    attachments: Mapping[str, tuple[str, bytes]]
+    open_end: bool
+
+    def check(self) -> None:
+        """UsageError for what cannot be recorded, in words of the arguments of `log.RecordingWriter`."""
+        _check(self.configuration, self.simulation)
+        if taken := sorted({PROVENANCE, PACKAGES, PROGRAM, SIMULATION, SCENE} & set(self.attachments)):
+            raise UsageError(f"every recording has attachments named {', '.join(taken)}: choose other names")
+
+    def attached(self, provenance: Provenance) -> dict[str, tuple[str, bytes]]:
+        """All attachments of the recording: media type and bytes, by name."""
+        found = {
+            PROVENANCE: ("application/json", provenance.to_json().encode()),
+            PACKAGES: ("text/plain", package_list().encode()),
+            SIMULATION: ("application/json", self.simulation.to_json().encode()),
+        }
+        if self.scene:
+            found[SCENE] = ("application/json", self.scene.to_json().encode())
+        if program := description():
+            found[PROGRAM] = ("application/json", program)
+        return {**found, **self.attachments}
+
+
+def _check(c: RunConfiguration, s: Simulation) -> None:
     check(c, named=lambda name: {"view_env": "view"}.get(name, name))
     for what, text in (
         ("simulator", c.simulator),
@@ -37,8 +80,6 @@ def check_announced(configuration: RunConfiguration, simulation: Simulation, att
     _check_fields(s.fields)
     if c.run_index < 0:
         raise UsageError(f"run_index is at least 0, not {c.run_index}")
-    if taken := sorted({PROVENANCE, PACKAGES, PROGRAM, SIMULATION, SCENE} & set(attachments)):
-        raise UsageError(f"every recording has attachments named {', '.join(taken)}: choose other names")
     try:
         RunConfiguration.from_json(json.loads(json.dumps(c.to_json())))
         Simulation.from_json(s.to_json())

@@ -27,7 +27,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gpusimbench.recorder.announced import check_announced
+from gpusimbench.recorder.announced import Announced
 from gpusimbench.recorder.capture.array_hashes import ArrayHashWriter, Hashed, checked_name, hashed
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
@@ -37,8 +37,8 @@ from gpusimbench.recorder.interruption import postponed
 from gpusimbench.recorder.plan import utc_now
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
-from gpusimbench.recorder.probes.software import describe_software, package_list
-from gpusimbench.recorder.programs.folder import description, placed
+from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.recorder.programs.folder import placed
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration, open_end
@@ -47,11 +47,7 @@ from gpusimbench.schemas.fields import ENV, StateField
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import (
     LOGGED,
-    PACKAGES,
-    PROGRAM,
     PROVENANCE,
-    SCENE,
-    SIMULATION,
     Deviation,
     Provenance,
     Simulation,
@@ -133,13 +129,12 @@ class RecordingWriter:
         view: Sequence[int] = (0,),
     ) -> None:
         self.path = placed(path)
-        self._scene = scene if isinstance(scene, Scene) else None
-        self._attachments = dict(attachments or {})
         options = dict(options or {})
-        self._open = steps is None  # the configuration has the number when the block ends
-        self._configuration = RunConfiguration(
+        described = scene if isinstance(scene, Scene) else None
+        name = scene.name if isinstance(scene, Scene) else scene
+        configuration = RunConfiguration(
             simulator=simulator,
-            scene=scene.name if isinstance(scene, Scene) else scene,
+            scene=name,
             n_env=n_env,
             dt=dt,
             steps=open_end(stride) if steps is None else steps,
@@ -153,7 +148,7 @@ class RecordingWriter:
             view=tuple(view),
             options={name: str(value) for name, value in options.items()},
         )
-        self._simulation = Simulation(
+        simulation = Simulation(
             version=version,
             device=device,
             options=options,
@@ -161,22 +156,25 @@ class RecordingWriter:
             deviations=tuple(deviations),
             fields=tuple(fields),
             scene={
-                "name": self._configuration.scene,
-                "sha256": self._scene.sha256() if self._scene else "",
-                "parameters": self._scene.parameters if self._scene else {},
+                "name": name,
+                "sha256": described.sha256() if described else "",
+                "parameters": described.parameters if described else {},
             },
             env_origins=tuple(env_origins),
             timing_covers=timing_covers,
             fresh_start=LOGGED,
         )
-        check_announced(self._configuration, self._simulation, self._attachments)
+        self._announced = Announced(
+            configuration, simulation, described, dict(attachments or {}), open_end=steps is None
+        )
+        self._announced.check()
         self._problems: list[tuple[str, str]] = []  # cause and sentence
         self._clocked = False
         self._within = False  # the block of the recording
 
     def __enter__(self) -> Self:
         """Open the file and write what is known. UsageError where it cannot be made."""
-        c = self._configuration
+        c = self._announced.configuration
         with Gpus() as gpus:
             self._provenance = Provenance(
                 run_id=str(uuid.uuid4()),
@@ -188,21 +186,14 @@ class RecordingWriter:
                 software=describe_software(),
                 environment=numeric_environment(),
             )
-        attached = {
-            PROVENANCE: ("application/json", self._provenance.to_json().encode()),
-            PACKAGES: ("text/plain", package_list().encode()),
-            SIMULATION: ("application/json", self._simulation.to_json().encode()),
-            **({SCENE: ("application/json", self._scene.to_json().encode())} if self._scene else {}),
-            **({PROGRAM: ("application/json", program)} if (program := description()) else {}),
-            **self._attachments,
-        }
+        attached = self._announced.attached(self._provenance)
         self._sink = Sink(self.path, compression=c.compression, early=True)
         try:
             for name, (media_type, data) in attached.items():
                 self._sink.attach(name, media_type, data)
             self._states = StateWriter(
-                self._sink, self._simulation.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=self._view(),
-                n_row=None if self._open else c.steps + 1,
+                self._sink, self.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=self._view(),
+                n_row=None if self._announced.open_end else c.steps + 1,
             )  # fmt: skip
             self._arrays = ArrayHashWriter(self._sink)
         except BaseException as error:
@@ -214,13 +205,13 @@ class RecordingWriter:
         return self
 
     def _view(self) -> ViewWriter | None:
-        s = self._simulation
-        if not self._configuration.view:
+        a = self._announced
+        if not a.configuration.view:
             return None
         try:
             return ViewWriter(
-                self._sink, self._configuration, fields=s.fields, scene=self._scene,
-                attachments=self._attachments, env_origins=s.env_origins,
+                self._sink, a.configuration, fields=self.fields, scene=a.scene, attachments=a.attachments,
+                env_origins=a.simulation.env_origins,
             )  # fmt: skip
         except DamagedRecording:
             return None
@@ -228,7 +219,7 @@ class RecordingWriter:
     @property
     def fields(self) -> tuple[StateField, ...]:
         """Layout of the state."""
-        return self._simulation.fields
+        return self._announced.simulation.fields
 
     def append(self, *arrays: ArrayLike) -> None:
         """The state after one step, or after several: one array a field, [env, item, width] or with a step axis first.
@@ -238,7 +229,7 @@ class RecordingWriter:
         UsageError for other shapes, another dtype, and more states than were announced; DataLost in a forked process.
         """
         self._sink.check_process()
-        fields = self._simulation.fields
+        fields, end = self.fields, self._announced.configuration.steps
         if len(arrays) != len(fields):
             raise UsageError(f"there are {len(fields)} fields, and {len(arrays)} arrays were given")
         rows = [self._rows(field, array) for field, array in zip(fields, arrays, strict=True)]
@@ -249,10 +240,8 @@ class RecordingWriter:
         if not given:
             raise UsageError("the arrays have no step")
         last = self._states.last_step + given
-        if last > self._configuration.steps:
-            raise UsageError(
-                f"step {last} is given, and the recording was announced to end at step {self._configuration.steps}"
-            )
+        if last > end:
+            raise UsageError(f"step {last} is given, and the recording was announced to end at step {end}")
         with postponed():
             problem = self._states.feed(rows)
         if problem and not any(cause == "NOT_FINITE" for cause, _ in self._problems):  # later ones follow from it
@@ -260,7 +249,7 @@ class RecordingWriter:
 
     def _rows(self, field: StateField, given: ArrayLike) -> NDArray[np.floating]:
         array = np.asarray(given)  # of which nothing is kept: rows that wait for a full block are copied
-        shape = (self._configuration.n_env, len(field.items), field.width)
+        shape = (self._announced.configuration.n_env, len(field.items), field.width)
         if array.dtype != field.dtype:
             raise UsageError(f"{field.name} is {array.dtype}, and was announced as {field.dtype}")
         if field.group == ENV and array.ndim and array.shape[-3:] != shape:
@@ -278,7 +267,7 @@ class RecordingWriter:
 
         The last interval may have fewer steps. UsageError where they are not those of `timed_steps`.
         """
-        c = self._configuration
+        c = self._announced.configuration
         given = np.asarray(start_ns), np.asarray(end_ns)
         if any(array.dtype.kind not in "iu" for array in given):
             raise UsageError("clocks are whole nanoseconds, such as time.perf_counter_ns() gives")
@@ -296,7 +285,7 @@ class RecordingWriter:
                 "clocks run backwards or stand still: an interval ends after it begins, and before the next one begins"
             )
         topic = topics.timing("timed")
-        covers = {"clock": "monotonic [ns]", "covers": self._simulation.timing_covers}
+        covers = {"clock": "monotonic [ns]", "covers": self._announced.simulation.timing_covers}
         self._sink.channel(topic, "gsb.v1.StepTiming", covers)
         message = message_class("gsb.v1.StepTiming")(
             first_step=c.warmup, steps_per_interval=steps_per_interval, start_ns=start.tolist(), end_ns=end.tolist()
@@ -343,8 +332,9 @@ class RecordingWriter:
                     self._sink.abandon()
                     return
                 self._states.flush()
-                if self._open:
-                    self._configuration = closed(self._sink, self._provenance, self._states.last_recorded_step)
+                if self._announced.open_end:
+                    made = closed(self._sink, self._provenance, self._states.last_recorded_step)
+                    self._announced = replace(self._announced, configuration=made)
                 status, reason, cause = self._outcome(error)
                 last = max(0, self._states.last_recorded_step)
                 self._sink.finish(status, reason, cause=cause, last_step=last, peak_rss_bytes=peak_rss_bytes())
@@ -357,7 +347,7 @@ class RecordingWriter:
     def _outcome(self, error: BaseException | None) -> tuple[str, str, str]:
         if error is not None:
             return "FAILED", f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}", cause_of(error)
-        c, done = self._configuration, self._states.last_step
+        c, done = self._announced.configuration, self._states.last_step
         if self._problems:
             return "INVALID", "; ".join(dict.fromkeys(text for _, text in self._problems)), self._problems[0][0]
         if done < c.steps:

@@ -202,7 +202,7 @@ class Vary:
 
 
 @dataclass(frozen=True)
-class Kind:
+class InterventionKind:
     """A kind of intervention: what it does to states after a step of the capture, and what readers conclude from that.
 
     Beside this declaration, a kind is a function in recorder.run.intervention. gsb-probe records it, if `probed`, and a
@@ -236,17 +236,19 @@ class Kind:
 
 
 _KINDS = (
-    Kind(
+    InterventionKind(
         "poison", "makes the state of environment 1 not finite, as a diverged solver leaves it",
         treats=lambda env: env == 1, changes=True, poisons=True,
     ),
-    Kind(
+    InterventionKind(
         "reset", "resets every second environment, from 0 on",
         treats=lambda env: env % 2 == 0, changes=True, restarts=True,
     ),
-    Kind("excursion", "saves the state, makes MORE steps that are not recorded, and restores the state", more=True),
-    Kind("set", "writes back the current positions and velocities"),
-    Kind(
+    InterventionKind(
+        "excursion", "saves the state, makes MORE steps that are not recorded, and restores the state", more=True
+    ),
+    InterventionKind("set", "writes back the current positions and velocities"),
+    InterventionKind(
         "teacher", "sets every environment to the measured state of its toss after each STEPS steps, while the toss "
         "goes on (teacher forcing)", changes=True, repeats=True, probed=False,
     ),
@@ -257,7 +259,7 @@ KINDS = {kind.name: kind for kind in _KINDS}
 
 @dataclass(frozen=True)
 class Intervention:
-    """What is done to the state of some environments after a step of the capture, as of Kind.form.
+    """What is done to the state of some environments after a step of the capture, as of InterventionKind.form.
 
     name  of one of KINDS
     step  after which it is done; of a kind that repeats: after each whole multiple of it
@@ -288,7 +290,7 @@ class Intervention:
         return f"{self.name}@{self.step}" + (f"+{self.more}" if self.more else "")
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> InterventionKind:
         """What it does, and what follows."""
         return KINDS[self.name]
 

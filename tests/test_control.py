@@ -37,10 +37,11 @@ import json, sys, uuid
 from pathlib import Path
 from gpusimbench.recorder.run.run import Run
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.provenance import Provenance
 for index, task in enumerate(json.load(sys.stdin)):
     configuration = RunConfiguration(simulator="calibration", dt=0.01, run_index=index, **task)
-    run = Run(configuration, Path(sys.argv[1]) / f"{uuid.uuid4()}.mcap", run_id=str(uuid.uuid4()), argv=(),
-              created="2026-01-01T00:00:00Z", progress=lambda *_: None, log=lambda: b"")
+    provenance = Provenance(str(uuid.uuid4()), "2026-01-01T00:00:00Z", (), configuration)
+    run = Run(provenance, Path(sys.argv[1]) / f"{uuid.uuid4()}.mcap", progress=lambda *_: None, log=lambda: b"")
     assert run.record().status == "COMPLETE"
 """
 """Runs one after another in a process, where a process each would take minutes."""

@@ -128,7 +128,7 @@ def test_add_an_intervention(copy: Copy) -> None:
     copy.edit(
         "schemas/treatment.py",
         "_KINDS = (\n",
-        '_KINDS = (\n    Kind("again", "saves the state and restores it at once"),\n',
+        '_KINDS = (\n    InterventionKind("again", "saves the state and restores it at once"),\n',
     )
     copy.edit(
         "recorder/run/intervention.py",

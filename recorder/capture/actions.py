@@ -1,8 +1,7 @@
-"""Actions of a run to blocks, and what a phase applied without storing it."""
+"""Actions of the capture phase to blocks."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -17,7 +16,6 @@ from gpusimbench.schemas.blocks import action_parts, generated_action
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.mcap.writer import Part
-from gpusimbench.schemas.messages import message_class
 
 Actions = Callable[[range], NDArray[np.float32]]
 """What is applied in consecutive steps to the environments of a range, [step, env, action]."""
@@ -100,45 +98,3 @@ class ActionWriter:
 
 def _same_bits(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
     return one.dtype == other.dtype and np.array_equal(one.view(np.uint32), other.view(np.uint32))
-
-
-def write_action_stream(
-    sink: Sink,
-    phase: str,
-    actions: JointTargets,
-    *,
-    seed: int,
-    streams: Streams,
-    first_step: int,
-    n_step: int,
-    applied: NDArray[np.float32] | None,
-) -> str | None:
-    """What a phase applied; returns what is wrong with the last actions that the engine holds, if anything.
-
-    applied  those actions, [env, action]; None where the engine cannot tell
-    """
-    n_env = len(streams.env)
-    rows = [
-        actions.draw(seed, n_env=n_env, first_step=step, n_step=1, streams=streams)[0]
-        for step in (first_step, first_step + n_step - 1)
-    ]
-    same = applied is not None and np.array_equal(applied, rows[1])
-    message = message_class("gsb.v1.ActionStream")(
-        generator=actions.describe(seed, streams),
-        first_step=first_step,
-        steps=n_step,
-        envs=n_env,
-        first_sha256=_sha256(rows[0]),
-        last_sha256=_sha256(rows[1]),
-        verified=same,
-    )
-    sink.channel(topics.action_stream(phase), "gsb.v1.ActionStream")
-    sink.write(topics.action_stream(phase), message.SerializeToString())
-    if applied is None or same:
-        return None
-    wrong = int(np.count_nonzero((applied != rows[1]).any(axis=1))) if applied.shape == rows[1].shape else n_env
-    return f"the engine's actions of step {first_step + n_step - 1} are not those it was given, in {wrong} envs"
-
-
-def _sha256(array: NDArray[np.float32]) -> str:
-    return hashlib.sha256(np.ascontiguousarray(array, dtype="<f4").tobytes()).hexdigest()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.simulators.captured import States
-from gpusimbench.recorder.simulators.flight import AFTER, BEFORE, NEVER, Flight, Kind, Watch, step_and_kind
+from gpusimbench.recorder.simulators.flight import AFTER, BEFORE, NEVER, FailureKind, Flight, Watch, step_and_kind
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import state_parts
 from gpusimbench.schemas.configuration import sim_time_ns
@@ -23,8 +23,16 @@ from gpusimbench.schemas.messages import enum_values, message_class
 MOST = 16
 """Environments whose states are written."""
 
-_CAUSES = {Kind.NOT_FINITE: "NOT_FINITE", Kind.OVERFLOW: "BUFFER", Kind.OUT_OF_BOUNDS: "OUT_OF_BOUNDS"}
-_WORDS = {Kind.NOT_FINITE: "not finite", Kind.OVERFLOW: "overflow", Kind.OUT_OF_BOUNDS: "out of bounds"}
+_CAUSES = {
+    FailureKind.NOT_FINITE: "NOT_FINITE",
+    FailureKind.OVERFLOW: "BUFFER",
+    FailureKind.OUT_OF_BOUNDS: "OUT_OF_BOUNDS",
+}
+_WORDS = {
+    FailureKind.NOT_FINITE: "not finite",
+    FailureKind.OVERFLOW: "overflow",
+    FailureKind.OUT_OF_BOUNDS: "out of bounds",
+}
 
 
 @dataclass(frozen=True)
@@ -50,8 +58,10 @@ class FlightWriter:
         self._n_env = n_env
         self._dt = dt
         self._failed = np.zeros(n_env, dtype=bool)
-        self._counts: Counter[Kind] = Counter()
-        self._due: list[tuple[int, int, Kind]] = []  # step, environment and kind of windows that are not written yet
+        self._counts: Counter[FailureKind] = Counter()
+        self._due: list[
+            tuple[int, int, FailureKind]
+        ] = []  # step, environment and kind of windows that are not written yet
         self._chosen = 0
         self._written: list[Any] = []
         self._first = ""
@@ -76,9 +86,9 @@ class FlightWriter:
         self._write(flight, list(self._due))
         data = message_class("gsb.v1.FailingEnvs")(
             failures=self._written,
-            not_finite=self._counts[Kind.NOT_FINITE],
-            overflow=self._counts[Kind.OVERFLOW],
-            out_of_bounds=self._counts[Kind.OUT_OF_BOUNDS],
+            not_finite=self._counts[FailureKind.NOT_FINITE],
+            overflow=self._counts[FailureKind.OVERFLOW],
+            out_of_bounds=self._counts[FailureKind.OUT_OF_BOUNDS],
             last_step=max(0, self._last_step),
         )
         self._sink.write(topics.RUN_FAILING, data.SerializeToString(), sim_ns=sim_time_ns(self._last_step, self._dt))
@@ -89,17 +99,17 @@ class FlightWriter:
         """A sentence that names the first failure, and its cause; None where no environment failed."""
         if not self._counts:
             return None
-        counts = ", ".join(f"{self._counts[kind]} {_WORDS[kind]}" for kind in Kind if self._counts[kind])
+        counts = ", ".join(f"{self._counts[kind]} {_WORDS[kind]}" for kind in FailureKind if self._counts[kind])
         said = f"{self._counts.total()} of {self._n_env} environments failed ({counts}); first {self._first}"
         return said, self._cause
 
-    def _write(self, flight: Flight, due: list[tuple[int, int, Kind]]) -> None:
+    def _write(self, flight: Flight, due: list[tuple[int, int, FailureKind]]) -> None:
         for entry in due:
             self._due.remove(entry)
             with shielded():  # what is listed is there, whole
                 self._written.append(self._window(flight, *entry))
 
-    def _window(self, flight: Flight, step: int, env: int, kind: Kind) -> Any:
+    def _window(self, flight: Flight, step: int, env: int, kind: FailureKind) -> Any:
         first, last = max(0, step - BEFORE), min(step + AFTER, self._last_step)
         states = flight.window(env, first, last)
         for field, array in zip(self._watch.fields, states, strict=True):
@@ -130,25 +140,25 @@ class FlightWriter:
         parts = state_parts(array, first_step=first, stride=1, env_start=env, sim_time_ns=time)
         self._sink.write(topic, b"".join(part.data for part in parts), sim_ns=time)
 
-    def _place(self, states: States, row: int, env: int, kind: Kind) -> _Place | None:
-        if kind is Kind.OVERFLOW:
+    def _place(self, states: States, row: int, env: int, kind: FailureKind) -> _Place | None:
+        if kind is FailureKind.OVERFLOW:
             return None
         own = slice(env, env + 1)
         for field, array in zip(self._watch.fields, states, strict=True):
             at = array[row : row + 1]
-            wrong = ~np.isfinite(at) if kind is Kind.NOT_FINITE else self._watch.beyond(field, at, own)
+            wrong = ~np.isfinite(at) if kind is FailureKind.NOT_FINITE else self._watch.beyond(field, at, own)
             if wrong.any():
-                if kind is Kind.OUT_OF_BOUNDS:
+                if kind is FailureKind.OUT_OF_BOUNDS:
                     at = self._watch.local(field, at, own)
                 place = tuple(np.argwhere(wrong)[0])
                 return _Place(field, field.items[place[2]], field.components[place[3]], float(at[place]))
         raise ValueError(f"environment {env} was said to be {_WORDS[kind]}, and its state is not")
 
-    def _said(self, kind: Kind, place: _Place | None, bits: int) -> str:
+    def _said(self, kind: FailureKind, place: _Place | None, bits: int) -> str:
         if place is None:
             names = [name for bit, name in self._bits.items() if bits >> bit & 1]
             return f"buffer overflow {', '.join(names)}: the engine dropped contacts or constraints"
         what = f"{place.field.name} {place.component} of {place.item}"
-        if kind is Kind.NOT_FINITE:
+        if kind is FailureKind.NOT_FINITE:
             return f"{what} is not finite"
         return f"{what} is {place.value:.6g} m from the environment's origin"

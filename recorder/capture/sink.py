@@ -23,7 +23,7 @@ from gpusimbench.schemas import FORMAT, __version__, topics
 from gpusimbench.schemas.configuration import EPOCH_NS
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
-from gpusimbench.schemas.mcap.assembly import Place, Records
+from gpusimbench.schemas.mcap.assembly import NextMessages, Records
 from gpusimbench.schemas.mcap.writer import McapWriter, Part
 from gpusimbench.schemas.messages import embedded_schema, enum_values, message_class
 from gpusimbench.schemas.writing import create, reopen
@@ -170,7 +170,7 @@ class Sink:
             for topic, parts in zip(topic_names, messages, strict=True):
                 self._message(topic, parts, EPOCH_NS + sim_ns)
 
-    def place(self, topic_names: Sequence[str], size: int) -> Place | None:
+    def place(self, topic_names: Sequence[str], size: int) -> NextMessages | None:
         """Where records of one message of each topic, in this order, would begin; None where they cannot be appended.
 
         size  bytes that the first message has at least
@@ -180,7 +180,7 @@ class Sink:
         with self._disk():
             if not self._writer.make_room(size):
                 return None
-            return Place(
+            return NextMessages(
                 self._writer.offset,
                 [self._channels[topic] for topic in topic_names],
                 [self._sequence.get(topic, 0) for topic in topic_names],

@@ -16,7 +16,7 @@ from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import fingerprint
-from gpusimbench.schemas.mcap.assembly import Part, Place, Records
+from gpusimbench.schemas.mcap.assembly import NextMessages, Part, Records
 
 PIECES = 8
 """Of a block, at least, to be shared among threads."""
@@ -63,13 +63,30 @@ class Stored(NamedTuple):
     columns: Sequence[Arrays]
     side_by_side: Sequence[Arrays] = ()
     memory: int = 0
-    place: Place | None = None
+    place: NextMessages | None = None
     whole: Arrays = ()
 
     @property
     def arrays(self) -> list[NDArray[np.floating]]:
         """Those of all messages, in the order of the file."""
         return [array for states in self.columns for array in states]
+
+
+class StateStream(NamedTuple):
+    """The states that a recording is given, block by block: what all blocks have in common.
+
+    rows      that a block has room for
+    may_fail  environments whose states need not be finite
+    size      bytes of all states; 0: it is not known
+    """
+
+    fields: tuple[StateField, ...]
+    n_env: int
+    rows: int
+    dt: float
+    stride: int
+    may_fail: frozenset[int]
+    size: int
 
 
 class Begun(NamedTuple):
@@ -176,26 +193,12 @@ def block_of(stored: Stored, place: tuple[int, int], ranges: Ranges, *, dt: floa
 class StateWork:
     """Does the work by the threads of this process.
 
-    may_fail  environments whose states need not be finite
-    digest    takes the states and the message of the hashes
+    digest  takes the states and the message of the hashes
     """
 
-    def __init__(
-        self,
-        fields: Sequence[StateField],
-        ranges: Ranges,
-        *,
-        dt: float,
-        stride: int,
-        may_fail: frozenset[int],
-        digest: ContentDigest,
-        workers: Workers,
-    ) -> None:
-        self._fields = fields
+    def __init__(self, stream: StateStream, ranges: Ranges, digest: ContentDigest, workers: Workers) -> None:
+        self._stream = stream
         self._ranges = ranges
-        self._dt = dt
-        self._stride = stride
-        self._may_fail = may_fail
         self._sha256 = digest
         self._workers = workers
 
@@ -207,17 +210,17 @@ class StateWork:
         hashed: Iterable[Hashed] = ()
         if stored is not None:
             blocks = start(
-                lambda place: block_of(stored, place, self._ranges, dt=self._dt, stride=self._stride),
-                places_of(stored, self._fields),
+                lambda place: block_of(stored, place, self._ranges, dt=self._stream.dt, stride=self._stream.stride),
+                places_of(stored, self._stream.fields),
             )
             digesting = start(
-                lambda field: digest_field(self._sha256, self._fields, field, self._ranges.n_env, stored),
-                range(len(self._fields)),
+                lambda field: digest_field(self._sha256, self._stream.fields, field, self._ranges.n_env, stored),
+                range(len(self._stream.fields)),
             )
         if read is not None:
             hashes = np.empty((read.states[0][0].shape[1], self._ranges.n_env), dtype=np.uint64)
             found = start(
-                lambda piece: hash_piece(self._fields, self._ranges, self._may_fail, read, piece, hashes),
+                lambda piece: hash_piece(self._stream.fields, self._ranges, self._stream.may_fail, read, piece, hashes),
                 pieces_of(read, 1 if self._workers.alone else PIECES),
             )
             hashed = start(lambda _: gathered(hashes, read.first_step, found, self._sha256), (0,))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.ranges import BlockMemory, Ranges, columns_of, row_bytes, steps_per_block
 from gpusimbench.recorder.capture.sink import Sink
-from gpusimbench.recorder.capture.state_work import Begun, NotFinite, Read, StateWork, Stored, Work
+from gpusimbench.recorder.capture.state_work import Begun, NotFinite, Read, StateStream, StateWork, Stored, Work
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.capture.work_child import HELD, READ
 from gpusimbench.recorder.capture.work_process import WorkProcess, worthwhile
@@ -103,19 +103,15 @@ class StateWriter:
         row = row_bytes(n_env, fields)
         small = row * self._rows < _ALONE_BYTES
         self.workers = Workers(small=small)
-        self._threads = StateWork(
-            self.fields, self._ranges, dt=dt, stride=stride, may_fail=may_fail, digest=sink.digest,
-            workers=self.workers,
-        )  # fmt: skip
+        size = None if n_row is None else n_row * row
+        stream = StateStream(self.fields, n_env, self._rows, dt, stride, may_fail, size or 0)
+        self._threads = StateWork(stream, self._ranges, sink.digest, self.workers)
         self._memory: BlockMemory | None = None  # that blocks are read into, where they are not worked on as they came
         self._begun = False
         self._process: WorkProcess | None = None
-        size = None if n_row is None else n_row * row
         if not small and worthwhile(size):
             with suppress(Exception):  # no memory, no process, a program that lets none start: threads do the same
-                self._process = WorkProcess(
-                    self.fields, n_env=n_env, rows=self._rows, dt=dt, stride=stride, may_fail=may_fail, size=size
-                )
+                self._process = WorkProcess(stream)
                 sink.at_end(self._process.close)
         if self._process is None and size is not None:
             with postponed():  # compiling calls Python from C, where an interruption would be printed and forgotten

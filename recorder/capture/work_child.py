@@ -18,6 +18,7 @@ from gpusimbench.recorder.capture.ranges import BlockMemory, Ranges, columns_of,
 from gpusimbench.recorder.capture.state_work import (
     Message,
     Read,
+    StateStream,
     Stored,
     block_of,
     digest_field,
@@ -29,9 +30,8 @@ from gpusimbench.recorder.capture.state_work import (
 from gpusimbench.schemas.blocks import raw_bytes
 from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
-from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import in_one_thread, load_compiled
-from gpusimbench.schemas.mcap.assembly import CHUNK_BYTES, Assembly, Buffer, Part, Place, Records
+from gpusimbench.schemas.mcap.assembly import CHUNK_BYTES, Assembly, Buffer, NextMessages, Part, Records
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -51,22 +51,6 @@ _OWN = {
 """Signals of its own; others, such as SIGUSR1 of Slurm to all processes of a job, are for the other process."""
 
 
-class Task(NamedTuple):
-    """What all blocks have in common.
-
-    rows  that a block has room for
-    size  bytes of all states; 0: it is not known
-    """
-
-    fields: tuple[StateField, ...]
-    n_env: int
-    rows: int
-    dt: float
-    stride: int
-    may_fail: frozenset[int]
-    size: int
-
-
 class Order(NamedTuple):
     """The next work.
 
@@ -74,7 +58,7 @@ class Order(NamedTuple):
     read    rows and first step of the rows to hash; None: no row
     """
 
-    stored: tuple[int, int, int, Place | None] | None
+    stored: tuple[int, int, int, NextMessages | None] | None
     read: tuple[int, int] | None
 
 
@@ -84,15 +68,15 @@ class Shared:
     The system allocates its pages on first use.
     """
 
-    def __init__(self, descriptor: int, task: Task) -> None:
-        block, ranges = BlockMemory.size(task.n_env, task.fields, task.rows), Ranges(task.n_env)
-        hashes = task.rows * task.n_env * 8
-        other = block + len(ranges.starts) * len(task.fields) * _RECORD_BYTES  # for small messages, their arrays too
+    def __init__(self, descriptor: int, stream: StateStream) -> None:
+        block, ranges = BlockMemory.size(stream.n_env, stream.fields, stream.rows), Ranges(stream.n_env)
+        hashes = stream.rows * stream.n_env * 8
+        other = block + len(ranges.starts) * len(stream.fields) * _RECORD_BYTES  # for small messages, their arrays too
         if os.fstat(descriptor).st_size == 0:
             os.ftruncate(descriptor, 2 * block + hashes + other)
         buffer = mmap.mmap(descriptor, 2 * block + hashes + other)
-        self.memories = [BlockMemory(ranges, task.fields, task.rows, buffer, block * i) for i in (READ, HELD)]
-        self.hashes = np.ndarray((task.rows, task.n_env), np.uint64, buffer=buffer, offset=2 * block)
+        self.memories = [BlockMemory(ranges, stream.fields, stream.rows, buffer, block * i) for i in (READ, HELD)]
+        self.hashes = np.ndarray((stream.rows, stream.n_env), np.uint64, buffer=buffer, offset=2 * block)
         self._bytes = np.frombuffer(buffer, np.uint8)
         self._other = self._end = 2 * block + hashes
 
@@ -144,7 +128,7 @@ class _Sharing:
     They end with this process, which closes their connections.
     """
 
-    def __init__(self, task: Task, shared: Shared, ranges: Ranges, other: Connection) -> None:
+    def __init__(self, stream: StateStream, shared: Shared, ranges: Ranges, other: Connection) -> None:
         """other  connection to the recording process, which the copies close"""
         from multiprocessing.connection import Pipe
 
@@ -166,7 +150,7 @@ class _Sharing:
             try:
                 for inherited in (*self._connections, ours, other):
                     inherited.close()
-                _Share(task, shared, ranges, number, count).work(theirs)
+                _Share(stream, shared, ranges, number, count).work(theirs)
             finally:
                 os._exit(0)
 
@@ -200,11 +184,11 @@ class _Sharing:
 class _Share:
     """The work of copy `number` of `count`: every count-th message, digests of some fields, and some hashes."""
 
-    def __init__(self, task: Task, shared: Shared, ranges: Ranges, number: int, count: int) -> None:
-        self._task, self._shared, self._ranges, self._number, self._count = task, shared, ranges, number, count
+    def __init__(self, stream: StateStream, shared: Shared, ranges: Ranges, number: int, count: int) -> None:
+        self._stream, self._shared, self._ranges, self._number, self._count = stream, shared, ranges, number, count
         self._digest = ContentDigest()
         self._loads = [0.0] * count  # of a row's digests
-        widths = [row_bytes(task.n_env, [field]) for field in task.fields]
+        widths = [row_bytes(stream.n_env, [field]) for field in stream.fields]
         self._fields = dealt([_DIGEST_NS * width for width in widths], self._loads)[number]
         self._hash_ns = _HASH_NS * sum(widths)
         in_one_thread()
@@ -224,16 +208,16 @@ class _Share:
                     connection.send(_told(error))
 
     def _answers(self, order: Order) -> Iterator[Any]:
-        task = self._task
+        stream = self._stream
         stored, read = self._shared.stored(order), self._shared.read(order, self._ranges)
         if stored is not None:
-            places = places_of(stored, task.fields)
+            places = places_of(stored, stream.fields)
             for group in groups_of(stored):
                 mine = places[group][self._number :: self._count]
-                blocks = (block_of(stored, place, self._ranges, dt=task.dt, stride=task.stride) for place in mine)
+                blocks = (block_of(stored, place, self._ranges, dt=stream.dt, stride=stream.stride) for place in mine)
                 yield [(bytes(head.data), array.crc) for head, array in blocks]
             for index in self._fields:
-                digest_field(self._digest, task.fields, index, task.n_env, stored)
+                digest_field(self._digest, stream.fields, index, stream.n_env, stored)
             yield None
         if read is not None:
             hashes = self._shared.hashes[: read.states[0][0].shape[1]]
@@ -242,7 +226,7 @@ class _Share:
             costs = [self._hash_ns * (piece.rows.stop - piece.rows.start) * len(read.groups[piece.group])
                      / len(self._ranges.starts) for piece in pieces]  # fmt: skip
             to_hash = [pieces[index] for index in dealt(costs, loads)[self._number]]
-            found = [hash_piece(task.fields, self._ranges, task.may_fail, read, piece, hashes) for piece in to_hash]
+            found = [hash_piece(stream.fields, self._ranges, stream.may_fail, read, piece, hashes) for piece in to_hash]
             yield [place for some in found for place in some]
 
 
@@ -260,15 +244,15 @@ def dealt(costs: Sequence[float], loads: list[float]) -> list[list[int]]:
 def work(connection: Connection, memory: int) -> None:
     """Answer orders until the other end of the connection is closed.
 
-    The first message is the Task. An Order is answered with the heads and CRCs of its blocks, or with the records of
-    their messages, group by group; then None, once digested; then head and CRC of the hashes' message, with the places
-    of values that are not finite. The order None is answered with the digests.
+    The first message is the StateStream. An Order is answered with the heads and CRCs of its blocks, or with the
+    records of their messages, group by group; then None, once digested; then head and CRC of the hashes' message, with
+    the places of values that are not finite. The order None is answered with the digests.
     """
-    task: Task = connection.recv()
-    shared, ranges, digest = Shared(memory, task), Ranges(task.n_env), ContentDigest()
-    if task.size >= _COMPILED_BYTES:
+    stream: StateStream = connection.recv()
+    shared, ranges, digest = Shared(memory, stream), Ranges(stream.n_env), ContentDigest()
+    if stream.size >= _COMPILED_BYTES:
         load_compiled()  # 1 to 2 s, before there are copies; the program waits for it before it captures
-    sharing = _Sharing(task, shared, ranges, connection)
+    sharing = _Sharing(stream, shared, ranges, connection)
     connection.send("ready")
     try:
         for order in _orders(connection):
@@ -281,7 +265,7 @@ def work(connection: Connection, memory: int) -> None:
                 continue
             stored, read = shared.stored(order), shared.read(order, ranges)
             if stored is not None:
-                for answer in _written(stored, sharing, shared, task):
+                for answer in _written(stored, sharing, shared, stream):
                     connection.send(answer)
                 sharing.receive()
                 connection.send(None)
@@ -316,7 +300,7 @@ def groups_of(stored: Stored) -> list[slice]:
     return [slice(begin, end) for begin, end in pairwise((*begins, len(sizes))) if begin < end]
 
 
-def _written(stored: Stored, sharing: _Sharing, shared: Shared, task: Task) -> Iterator[Any]:
+def _written(stored: Stored, sharing: _Sharing, shared: Shared, stream: StateStream) -> Iterator[Any]:
     """Heads and CRCs of all messages, which the copies made in turn; or, group by group, the places of their records in
     the memory, and the rest of the Records."""
     place, arrays = stored.place, stored.arrays
@@ -327,7 +311,9 @@ def _written(stored: Stored, sharing: _Sharing, shared: Shared, task: Task) -> I
             yield heads
             continue
         here = place._replace(channels=place.channels[group], sequences=place.sequences[group])
-        records = assembled(here, messages_of(heads, arrays[group]), EPOCH_NS + sim_time_ns(stored.first_step, task.dt))
+        records = assembled(
+            here, messages_of(heads, arrays[group]), EPOCH_NS + sim_time_ns(stored.first_step, stream.dt)
+        )
         place = place._replace(offset=place.offset + records.size)
         yield shared.put(records.pieces, first=not group.start), records._replace(pieces=())
 
@@ -338,7 +324,7 @@ def messages_of(heads: Sequence[tuple[bytes, int]], arrays: Sequence[NDArray[np.
         yield Part(head), Part(raw_bytes(array), crc)
 
 
-def assembled(place: Place, messages: Iterable[Message], log_time: int) -> Records:
+def assembled(place: NextMessages, messages: Iterable[Message], log_time: int) -> Records:
     """The records of messages, for their place in the file."""
     assembly = Assembly(place.offset)
     for channel, sequence, parts in zip(place.channels, place.sequences, messages, strict=True):

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.recorder.capture.state_work import Begun, Hashed, Message, Read, Stored
-from gpusimbench.recorder.capture.work_child import Order, Shared, Task, groups_of, messages_of
+from gpusimbench.recorder.capture.state_work import Begun, Hashed, Message, Read, StateStream, Stored
+from gpusimbench.recorder.capture.work_child import Order, Shared, groups_of, messages_of
 from gpusimbench.recorder.interruption import blocked
 from gpusimbench.schemas.blocks import raw_bytes
 from gpusimbench.schemas.fields import StateField
@@ -58,23 +58,10 @@ class WorkProcess:
     Put rows into `shared` once `ready` has returned True.
     """
 
-    def __init__(
-        self,
-        fields: Sequence[StateField],
-        *,
-        n_env: int,
-        rows: int,
-        dt: float,
-        stride: int,
-        may_fail: frozenset[int],
-        size: int | None,
-    ) -> None:
-        """rows  that a block has at most
-        size  bytes of all states; None: it is not known
-        """
+    def __init__(self, stream: StateStream) -> None:
         from multiprocessing.connection import Pipe  # takes 15 ms to load, which whoever starts no process is spared
 
-        task = Task(_plain(fields), n_env, rows, dt, stride, may_fail, size or 0)
+        stream = stream._replace(fields=_plain(stream.fields))
         self._owner = os.getpid()
         self._digests: dict[str, str] | None = None
         with ExitStack() as here, ExitStack() as failing:
@@ -85,7 +72,7 @@ class WorkProcess:
             here.callback(theirs.close)
             number = _beyond(os.dup(theirs.fileno()))
             here.callback(os.close, number)
-            self.shared = Shared(memory, task)
+            self.shared = Shared(memory, stream)
             with blocked():  # the user's interruption is not for it
                 self._child = subprocess.Popen(
                     [sys.executable, *_flags(), "-c", _MAIN.format(path=_path()), str(number), str(memory)],
@@ -98,7 +85,7 @@ class WorkProcess:
                 failing.callback(self.close)
             here.close()  # a process that has died reads nothing, and only then that is found out
             with suppress(OSError):
-                self._connection.send(task)
+                self._connection.send(stream)
             failing.pop_all()
 
     def ready(self) -> bool:

@@ -17,7 +17,7 @@ TRIES = 3
 """How often a run is begun at most, where the nodes that make it die."""
 
 
-class Phase(NamedTuple):
+class PhaseReport(NamedTuple):
     """A run reported how far it is."""
 
     run: RunConfiguration
@@ -47,7 +47,7 @@ class Batch:
     """
 
     def __init__(self, runs: Sequence[RunConfiguration]) -> None:
-        self.news: SimpleQueue[Phase | Ended | Said] = SimpleQueue()
+        self.news: SimpleQueue[PhaseReport | Ended | Said] = SimpleQueue()
         self._waiting = deque(runs)
         self._open = list(runs)  # those that have not ended
         self._first = runs[0]

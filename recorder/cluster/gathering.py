@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from gpusimbench.recorder.plan import partial_of, publish, reserve
+from gpusimbench.recorder.process.planned_run import PlannedRun
 from gpusimbench.recorder.sets.finished import run_end
-from gpusimbench.recorder.sets.task import Task
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import GsbError, RecordingError
 from gpusimbench.schemas.mcap.reader import Container
@@ -48,7 +48,12 @@ class Remote:
 
 
 def gather(
-    task: Task, files: Iterable[Mapping[str, Any]], source: str, folder: Path, read: Read, stop: Callable[[], bool]
+    planned: PlannedRun,
+    files: Iterable[Mapping[str, Any]],
+    source: str,
+    folder: Path,
+    read: Read,
+    stop: Callable[[], bool],
 ) -> dict[str, Path]:
     """Copy the files of a run; returns where each is, by the name that it has on the node.
 
@@ -64,7 +69,7 @@ def gather(
     try:
         # what a killed run left had its name before the recording that says so
         for file in sorted(found, key=lambda file: (file.whole, file.name)):
-            here[file.name] = _copy(task, file, f"{source}/{file.name}", folder, read, stop)
+            here[file.name] = _copy(planned, file, f"{source}/{file.name}", folder, read, stop)
     except BaseException:
         for path in here.values():
             path.unlink(missing_ok=True)
@@ -72,8 +77,8 @@ def gather(
     return here
 
 
-def _copy(task: Task, file: Remote, source: str, folder: Path, read: Read, stop: Callable[[], bool]) -> Path:
-    path = reserve(folder, task.configuration, task.created)
+def _copy(planned: PlannedRun, file: Remote, source: str, folder: Path, read: Read, stop: Callable[[], bool]) -> Path:
+    path = reserve(folder, planned.configuration, planned.provenance.created_utc)
     partial = partial_of(path)
     try:
         digest = hashlib.sha256()
@@ -97,7 +102,7 @@ def _copy(task: Task, file: Remote, source: str, folder: Path, read: Read, stop:
             )
         if not file.whole:
             return partial
-        _check(partial, task)
+        _check(partial, planned)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
@@ -105,13 +110,13 @@ def _copy(task: Task, file: Remote, source: str, folder: Path, read: Read, stop:
     return path
 
 
-def _check(path: Path, task: Task) -> None:
+def _check(path: Path, planned: PlannedRun) -> None:
     try:
         container = Container(path)
         said = container.attachment(PROVENANCE)
         if run_end(container) is None or said is None:
             raise Spoiled("the recording that came has no end")
-        if Provenance.from_json(said).run_id != task.run_id:
+        if Provenance.from_json(said).run_id != planned.provenance.run_id:
             raise Spoiled("the recording that came is that of another run")
     except RecordingError as error:
         raise Spoiled(f"the recording that came cannot be read: {error}") from None

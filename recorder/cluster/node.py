@@ -28,10 +28,10 @@ from gpusimbench import recorder, schemas
 from gpusimbench.recorder.environments.choice import check_known, interpreter_for
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.software import describe_software
-from gpusimbench.recorder.process.launch import Interruptions
+from gpusimbench.recorder.process.launch import Interruptions, make
+from gpusimbench.recorder.process.planned_run import PlannedRun
 from gpusimbench.recorder.process.scratch import OUTPUT, scratch_folder
 from gpusimbench.recorder.sets.finished import where_am_i
-from gpusimbench.recorder.sets.task import Task, make
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 
@@ -107,7 +107,7 @@ def _serve(wanted: dict[str, Any], folder: Path, interruptions: Interruptions, s
     _number_gpus_as_nvml_does()
     python = Path(wanted["python"]) if wanted["python"] else None
     interpreter = interpreter_for(find_simulator(wanted["simulator"]), python)
-    if wanted["task"] is None:
+    if wanted["run"] is None:
         check_known(interpreter, wanted["simulator"], wanted["scene"])
         say({"where": where_am_i(interpreter)})
         return
@@ -115,7 +115,7 @@ def _serve(wanted: dict[str, Any], folder: Path, interruptions: Interruptions, s
     def report(phase: str, done: int, of: int) -> None:
         say({"phase": phase, "done": done, "of": of})
 
-    result = make(Task.from_json(wanted["task"]), folder, interpreter, report, interruptions)
+    result = make(PlannedRun.from_json(wanted["run"]), folder, interpreter, report, interruptions)
     say(
         {
             "result": {

@@ -13,8 +13,8 @@ from gpusimbench.recorder.cluster.connection import Cluster, Lost, Node
 from gpusimbench.recorder.cluster.gathering import Spoiled, gather
 from gpusimbench.recorder.cluster.node import code
 from gpusimbench.recorder.process.launch import Interruptions, Result
-from gpusimbench.recorder.process.launch import Progress as Report
-from gpusimbench.recorder.sets.task import Task
+from gpusimbench.recorder.process.planned_run import PlannedRun
+from gpusimbench.recorder.run.pace import Report
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 
@@ -95,19 +95,19 @@ class Seat:
         self.where = last["where"]
         self.let_go()
 
-    def make(self, task: Task, report: Report, interruptions: Interruptions) -> dict[str, Any]:
+    def make(self, planned: PlannedRun, report: Report, interruptions: Interruptions) -> dict[str, Any]:
         """Make a run; returns what the node says of it. Its files stay there until let_go.
 
         Lost where the agent is, or the process that it started.
         """
-        last = self._talk(task.run_id, task, report, interruptions)
+        last = self._talk(planned.provenance.run_id, planned, report, interruptions)
         if "result" not in last and "error" not in last:
             raise Lost(f"the process that followed the run ended: {last['said']}")
         return last
 
-    def fetch(self, task: Task, last: dict[str, Any], folder: Path, stop: Callable[[], bool]) -> Result:
+    def fetch(self, planned: PlannedRun, last: dict[str, Any], folder: Path, stop: Callable[[], bool]) -> Result:
         """The result of a run that was made, and its files in a folder here. Errors as of gather, and Lost."""
-        index = task.configuration.run_index
+        index = planned.configuration.run_index
         if "error" in last:
             return Result(index, "incomplete", f"{self.name}: {last['error']}", None, ExitCode(last["exit_code"]))
 
@@ -117,7 +117,7 @@ class Seat:
 
         said, source = last["result"], last["folder"]
         try:
-            here = gather(task, last["files"], source, folder, read, stop)
+            here = gather(planned, last["files"], source, folder, read, stop)
         except Spoiled as error:
             raise Lost(str(error)) from None
         reason = said["reason"]
@@ -150,12 +150,14 @@ class Seat:
             self.close()
         return bool(there)
 
-    def _talk(self, key: str, task: Task | None, report: Report, interruptions: Interruptions) -> dict[str, Any]:
+    def _talk(
+        self, key: str, planned: PlannedRun | None, report: Report, interruptions: Interruptions
+    ) -> dict[str, Any]:
         # the node's last word, with what it said in no form of ours
         first = {
             **asdict(self._wanted),
             "code": code().sha256,
-            "task": task.to_json() if task else None,
+            "run": planned.to_json() if planned else None,
         }
         self._key = key
         self._cluster.call(
@@ -166,7 +168,7 @@ class Seat:
         known, ended, said = 0, False, "nothing"
         while not ended:
             lines, ended = self._cluster.call(self.agent, "lines", known)
-            if task is None and not lines and not ended:
+            if planned is None and not lines and not ended:
                 raise Lost("it does not answer")  # a run may be silent for as long as its --timeout lets it
             known += len(lines)
             for line in filter(None, lines):

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import Empty
 
-from gpusimbench.recorder.cluster.batch import Batch, Ended, Phase, Said, lost
+from gpusimbench.recorder.cluster.batch import Batch, Ended, PhaseReport, Said, lost
 from gpusimbench.recorder.cluster.connection import Cluster, Lost
 from gpusimbench.recorder.cluster.gathering import Stopped
 from gpusimbench.recorder.cluster.node import KILLING
@@ -19,7 +19,7 @@ from gpusimbench.recorder.cluster.seats import Seat, Spot, Wanted, needs_gpu, sp
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.process.launch import Interruptions, Result
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.recorder.sets.progress import Progress, say
+from gpusimbench.recorder.sets.progress import SetProgress, say
 from gpusimbench.recorder.sets.series import Request
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -114,7 +114,7 @@ class Team:
         return self._seats[0].where
 
     def make(
-        self, request: Request, planned: Sequence[RunConfiguration], progress: Progress, interruptions: Interruptions
+        self, request: Request, planned: Sequence[RunConfiguration], progress: SetProgress, interruptions: Interruptions
     ) -> Generator[tuple[RunConfiguration, Result], None, None]:
         """See Maker.make. A run whose node dies is made again on another, at most batch.TRIES times in all."""
         batch = Batch(planned)
@@ -135,7 +135,7 @@ class Team:
             self._seats = [worker.seat for worker in workers if worker.seated and not worker.thread.is_alive()]
 
     def _tell(
-        self, batch: Batch, workers: Sequence[_Worker], progress: Progress, interruptions: Interruptions
+        self, batch: Batch, workers: Sequence[_Worker], progress: SetProgress, interruptions: Interruptions
     ) -> Generator[tuple[RunConfiguration, Result], None, None]:
         passed_on, deadline = 0, None
         while True:
@@ -146,7 +146,7 @@ class Team:
                         progress.finish(result, seconds)
                         yield run, result
                         batch.decide()
-                    case Phase(run, phase, done, of):
+                    case PhaseReport(run, phase, done, of):
                         progress.update(run.run_index, phase, done, of)
                     case _:
                         say(news.text)
@@ -188,15 +188,15 @@ class _Worker:
 
     def _make(self, run: RunConfiguration, began: float) -> Result | None:
         # None where the run comes to its end elsewhere, or nowhere
-        task = self._request.task(run)
+        planned = self._request.planned(run)
 
         def report(phase: str, done: int, of: int) -> None:
-            self._batch.news.put(Phase(run, phase, done, of))
+            self._batch.news.put(PhaseReport(run, phase, done, of))
 
         try:
-            last = self.seat.make(task, report, self._interruptions)
+            last = self.seat.make(planned, report, self._interruptions)
             wanted = self._batch.wait_turn(run)
-            result = self.seat.fetch(task, last, self._request.out, self._unwanted) if wanted else None
+            result = self.seat.fetch(planned, last, self._request.out, self._unwanted) if wanted else None
             self.seat.let_go()
         except Lost as error:
             why = f"{self.seat.name}: {error}"
@@ -220,7 +220,7 @@ def _ask(seat: Seat) -> None:
         seat.ask()
 
 
-def _drain(batch: Batch, patience: float) -> Iterator[Phase | Ended | Said]:
+def _drain(batch: Batch, patience: float) -> Iterator[PhaseReport | Ended | Said]:
     with suppress(Empty):
         yield batch.news.get(timeout=patience) if patience else batch.news.get_nowait()
         while True:

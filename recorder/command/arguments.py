@@ -6,10 +6,9 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from gpusimbench.recorder.command.parser import RecordParser
+from gpusimbench.recorder.command.parser import RecordParser, names
 from gpusimbench.schemas.commands.command_line import add_common
 from gpusimbench.schemas.configuration import CAPTURE_MODES, USUAL_PHASES
-from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.treatment import KINDS
 
 _EPILOG = """\
@@ -124,7 +123,18 @@ def parser() -> RecordParser:
         help="Python interpreter or virtual environment for the runs (or for --setup)",
     )
     p.add_argument("--json", action="store_true", help="print results (or the list) as JSON on standard output")
+    _add_run(p)
+    _add_recorded(p)
+    _add_where(p)
+    _add_trials(p)
+    p.show_first(
+        "--list", "--setup", "--sim", "--scene", "--n-env", "--runs", "--option", "--determinism", "--phases",
+        "--steps", "--out", "--replay",
+    )  # fmt: skip
+    return p
 
+
+def _add_run(p: RecordParser) -> None:
     take = partial(p.take, p.add_argument_group("what is run"))
     take("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
     take("--replay", type=Path, metavar="FILE", help="repeat the run of a recording")
@@ -272,6 +282,8 @@ def parser() -> RecordParser:
         replayed=0.0,
     )
 
+
+def _add_recorded(p: RecordParser) -> None:
     take = partial(p.take, p.add_argument_group("what is recorded"))
     take(
         "--phases",
@@ -356,6 +368,8 @@ def parser() -> RecordParser:
         help=f"folder of the recordings (default: {OUT}/; of --replay: {OUT_OF_REPLAYS}/)",
     )
 
+
+def _add_where(p: RecordParser) -> None:
     take = partial(p.take, p.add_argument_group("where it is run"))
     take(
         "--ray",
@@ -372,6 +386,8 @@ def parser() -> RecordParser:
         replayed=None,
     )
 
+
+def _add_trials(p: RecordParser) -> None:
     take = partial(p.take, p.add_argument_group("real trials (--sim real)"))
     take("--trials", type=Path, metavar="CSV", help="positions of the cubes: trial,cube,x,y[,z]", measured=None)
     take("--unit", choices=("m", "cm"), help="unit of the positions in the CSV", measured=None)
@@ -382,18 +398,3 @@ def parser() -> RecordParser:
         help="time at which the positions were measured [s] (default: 5.0)",
         measured=None,
     )
-    p.show_first(
-        "--list", "--setup", "--sim", "--scene", "--n-env", "--runs", "--option", "--determinism", "--phases",
-        "--steps", "--out", "--replay",
-    )  # fmt: skip
-    return p
-
-
-def names() -> dict[str, tuple[str, ...]]:
-    """Names that completion offers, by the destination of the option that takes them."""
-    from gpusimbench.recorder.environments.store import SPECIFICATIONS
-    from gpusimbench.recorder.scenes.registry import scene_names
-    from gpusimbench.recorder.simulators.registry import simulators
-
-    sims, scenes = tuple(simulators()), scene_names()
-    return {"sim": (*sims, REAL), "scene": scenes, "setup": tuple(SPECIFICATIONS), "list": (*sims, *scenes)}

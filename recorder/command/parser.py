@@ -68,3 +68,13 @@ def fill(arguments: argparse.Namespace, unless_given: Mapping[str, dict[str, Any
     for name, default in own.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)
+
+
+def names() -> dict[str, tuple[str, ...]]:
+    """Names that completion offers, by the destination of the option that takes them."""
+    from gpusimbench.recorder.environments.store import SPECIFICATIONS
+    from gpusimbench.recorder.scenes.registry import scene_names
+    from gpusimbench.recorder.simulators.registry import simulators
+
+    sims, scenes = tuple(simulators()), scene_names()
+    return {"sim": (*sims, REAL), "scene": scenes, "setup": tuple(SPECIFICATIONS), "list": (*sims, *scenes)}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -323,8 +322,8 @@ class Subject:
 
     def _record(self) -> RecordedRun:
         from gpusimbench.recorder.environments.interpreter import own
-        from gpusimbench.recorder.plan import reserve, utc_now
-        from gpusimbench.recorder.process.launch import Interruptions, launch
+        from gpusimbench.recorder.process.launch import Interruptions, make
+        from gpusimbench.recorder.process.planned_run import PlannedRun, provenance_now
         from gpusimbench.recorder.process.scratch import scratch_folder
 
         if not self.scenes:
@@ -342,19 +341,11 @@ class Subject:
             options=self.given,
             determinism=self.determinism,
         )
-        created = utc_now()
+        command = ("python", "-m", "gpusimbench.recorder.conformance", "--sim", self.name)
+        planned = PlannedRun(provenance_now(configuration, command))
         with scratch_folder() as (folder, _):
             with Interruptions() as interruptions:
-                result = launch(
-                    configuration,
-                    reserve(folder, configuration, created),
-                    run_id=str(uuid.uuid4()),
-                    created=created,
-                    argv=("python", "-m", "gpusimbench.recorder.conformance", "--sim", self.name),
-                    interpreter=own(),
-                    progress=lambda phase, done, of: None,
-                    interruptions=interruptions,
-                )
+                result = make(planned, folder, own(), lambda phase, done, of: None, interruptions)
             if interruptions.count:
                 raise KeyboardInterrupt
             return read(configuration, result)

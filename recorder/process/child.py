@@ -18,7 +18,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError
 
 _LOG_BYTES = 1 << 20  # of each file; an engine that warns at every step would fill a disk
@@ -49,20 +48,15 @@ def main() -> int:
 def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], scratch: Path) -> dict[str, Any]:
     from gpusimbench.recorder.interruption import MARK
     from gpusimbench.recorder.run.run import Run
-    from gpusimbench.schemas.provenance import ReplayOf
+    from gpusimbench.schemas.provenance import Provenance
 
-    of = task["replay_of"]
     run = Run(
-        RunConfiguration.from_json(task["configuration"]),
+        Provenance.from_json(task["provenance"]),
         Path(task["path"]),
-        run_id=task["run_id"],
-        argv=tuple(task["argv"]),
-        created=task["created"],
         progress=lambda phase, done, of: report({"phase": phase, "done": done, "of": of}),
         log=_log_of(scratch),
         interrupted=(scratch / MARK).exists,
         reserved=True,
-        replay_of=ReplayOf.from_json(of) if of else None,
         inputs={path.name: path.read_bytes() for path in Path(task["inputs"]).iterdir()} if task["inputs"] else {},
     )
     outcome = run.record()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from gpusimbench.recorder.capture.sink import Sink
@@ -15,7 +16,6 @@ from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.plan import release, reserve
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host
-from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import RecordingError
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance
@@ -25,32 +25,24 @@ _SAID = {PROVENANCE: _JSON, PACKAGES: "text/plain", SCENE: _JSON, SIMULATION: _J
 
 
 def record_killed(
-    folder: Path,
-    configuration: RunConfiguration,
-    left: Path | None,
-    *,
-    run_id: str,
-    created: str,
-    argv: tuple[str, ...],
-    interpreter: Interpreter,
-    reason: str,
+    folder: Path, provenance: Provenance, left: Path | None, interpreter: Interpreter, reason: str
 ) -> Path:
     """Write the recording; returns its path. DataLost where it cannot be written.
 
     left  what the run itself left behind: its .partial file, which stays as it is
     """
     said = dict(_attachments(left)) if left else {}
-    path = reserve(folder, configuration, created)
+    configuration = provenance.configuration
+    path = reserve(folder, configuration, provenance.created_utc)
     try:
         sink = Sink(path, compression=configuration.compression, reserved=True)
         try:
             if PROVENANCE not in said:
                 with Gpus() as gpus:  # so that a sweep finds it again as made here
-                    provenance = Provenance(
-                        run_id, created, argv, configuration, host=describe_host(), gpus=gpus.describe(),
-                        software=interpreter.software(),
-                    )  # fmt: skip
-                sink.attach(PROVENANCE, _JSON, provenance.to_json().encode())
+                    whole = replace(
+                        provenance, host=describe_host(), gpus=gpus.describe(), software=interpreter.software()
+                    )
+                sink.attach(PROVENANCE, _JSON, whole.to_json().encode())
             for name, data in said.items():
                 sink.attach(name, _SAID[name], data)
             return sink.finish("FAILED", reason, cause="TIMEOUT", last_step=0, peak_rss_bytes=0)

@@ -1,4 +1,4 @@
-"""Starts the process of one run and follows it to its end."""
+"""Makes a run: starts its process and follows it to its end."""
 
 from __future__ import annotations
 
@@ -9,25 +9,23 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field, replace
 from io import FileIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.interruption import ENDING, MARK, SIGNALS, blocked
-from gpusimbench.recorder.plan import partial_of, release
-from gpusimbench.recorder.process.cage import Cage, Guard
+from gpusimbench.recorder.plan import partial_of, release, reserve
+from gpusimbench.recorder.process.cage import Guard
+from gpusimbench.recorder.process.planned_run import PlannedRun
 from gpusimbench.recorder.process.scratch import OUTPUT, making, scratch_folder
-from gpusimbench.recorder.run.pace import BETWEEN
+from gpusimbench.recorder.run.pace import BETWEEN, Report
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError
-from gpusimbench.schemas.provenance import ReplayOf
 from gpusimbench.schemas.writing import create, write_file
-
-Progress = Callable[[str, int, int], None]
 
 GRACE_S = 30.0
 """How long a run that has timed out may take to bring its recording to an end [s]. An engine that sits in native code,
@@ -114,45 +112,42 @@ class Interruptions:
             self._child.send_signal(signal.SIGINT)  # the run heeds only the first of these
 
 
-def launch(
-    configuration: RunConfiguration,
-    path: Path,
-    *,
-    run_id: str,
-    created: str,
-    argv: tuple[str, ...],
-    interpreter: Interpreter,
-    progress: Progress,
-    interruptions: Interruptions,
-    replay_of: ReplayOf | None = None,
-    cage: Cage | None = None,
-    inputs: Mapping[str, bytes] | None = None,
+def make(
+    planned: PlannedRun, folder: Path, interpreter: Interpreter, progress: Report, interruptions: Interruptions
 ) -> Result:
-    """Record one run in a fresh process, into `path`, whose name is reserved (recorder.plan.reserve).
-
-    interpreter  that the process is of
-    replay_of    the recording that the run is a replay of
-    cage         what the run may take of this machine; None: anything
-    inputs       files that it is given, by the names that its recording attaches them under
+    """Make the run in a fresh process of `interpreter`, its recording in `folder`.
 
     A run with a time limit that neither ends nor begins to end its recording within GRACE_S more is killed. So is one
     that passes a bound of its cage; nothing is left of that.
 
     GsbError where no process can be started, or there is no room for temporary files.
     """
+    path = reserve(folder, planned.configuration, planned.provenance.created_utc)
+    result = _launch(planned, path, interpreter, progress, interruptions)
+    if not (planned.end_killed and result.died and result.cause == "TIMEOUT") or interruptions.count:
+        return result
+
+    from gpusimbench.recorder.process.killed import record_killed
+
+    path = record_killed(folder, planned.provenance, result.path, interpreter, result.reason)
+    return replace(result, status="failed", path=path, exit_code=ExitCode.FAILURE)
+
+
+def _launch(
+    planned: PlannedRun, path: Path, interpreter: Interpreter, progress: Report, interruptions: Interruptions
+) -> Result:
+    configuration = planned.configuration
     try:
         with scratch_folder() as (scratch, printed):
             task = {
-                "configuration": configuration.to_json(),
+                "provenance": planned.provenance.to_json(),
                 "path": str(path.absolute()),
-                "run_id": run_id,
-                "created": created,
-                "argv": list(argv),
                 "scratch": str(scratch),
-                "replay_of": asdict(replay_of) if replay_of else None,
-                "inputs": _kept(scratch, inputs or {}),
+                "inputs": _kept(scratch, planned.inputs),
             }
-            end = _follow(task, scratch, printed, interpreter, configuration.timeout, progress, interruptions, cage)
+            with _started(task, scratch, printed, interpreter) as (child, reports):
+                interruptions.follow(child, scratch / MARK)
+                end = _follow(child, reports, planned, (partial_of(path.absolute()), scratch), progress, interruptions)
             said = "" if end.last else last_line(scratch / OUTPUT)
     finally:
         left = release(path)
@@ -228,17 +223,11 @@ class _Deadline:
             os.killpg(self._child.pid, signal.SIGKILL)
 
 
-def _follow(
-    task: dict[str, Any],
-    scratch: Path,
-    printed: FileIO,
-    interpreter: Interpreter,
-    timeout: float,
-    progress: Progress,
-    interruptions: Interruptions,
-    cage: Cage | None,
-) -> _End:
-    end = _End()
+@contextmanager
+def _started(
+    task: dict[str, Any], scratch: Path, printed: FileIO, interpreter: Interpreter
+) -> Iterator[tuple[subprocess.Popen[bytes], TextIO]]:
+    """The run's process, and what it reports, a line each."""
     environment = interpreter.environment(scratch)
     with making():
         given = tempfile.TemporaryFile()  # noqa: SIM115 (closed below, and where writing fails)
@@ -261,30 +250,36 @@ def _follow(
             raise GsbError(f"cannot start the run's process: {error.strerror}") from None
         finally:
             os.close(writer)
-        interruptions.follow(child, scratch / MARK)
-        begun = time.monotonic()
-        files = (partial_of(Path(task["path"])), scratch)
-        guarded = nullcontext() if cage is None else Guard(child, cage, files)
-        with _Deadline(child) as deadline, guarded as guard:
-            if timeout:
-                deadline.set(timeout + GRACE_S)
-            try:
-                for line in reports:
-                    with suppress(ValueError):  # a line that a killed process did not finish
-                        _hear(json.loads(line), end, timeout, deadline, progress)
-            except BaseException:
-                child.send_signal(signal.SIGINT)  # no run goes on that nobody follows
-                raise
-            finally:
-                end.returncode = child.wait()
-                interruptions.follow(None)
-        end.overdue = deadline.passed
-        end.stopped = "" if guard is None else guard.broken
-        end.late = 0 < timeout <= time.monotonic() - begun
+        yield child, reports
+
+
+def _follow(
+    child: subprocess.Popen[bytes], reports: Iterable[str], planned: PlannedRun, written: Iterable[Path],
+    progress: Report, interruptions: Interruptions,
+) -> _End:  # fmt: skip
+    # written: files and folders whose size counts
+    end, begun, timeout = _End(), time.monotonic(), planned.configuration.timeout
+    guarded = nullcontext() if planned.cage is None else Guard(child, planned.cage, written)
+    with _Deadline(child) as deadline, guarded as guard:
+        if timeout:
+            deadline.set(timeout + GRACE_S)
+        try:
+            for line in reports:
+                with suppress(ValueError):  # a line that a killed process did not finish
+                    _hear(json.loads(line), end, timeout, deadline, progress)
+        except BaseException:
+            child.send_signal(signal.SIGINT)  # no run goes on that nobody follows
+            raise
+        finally:
+            end.returncode = child.wait()
+            interruptions.follow(None)
+    end.overdue = deadline.passed
+    end.stopped = "" if guard is None else guard.broken
+    end.late = 0 < timeout <= time.monotonic() - begun
     return end
 
 
-def _hear(record: dict[str, Any], end: _End, timeout: float, deadline: _Deadline, progress: Progress) -> None:
+def _hear(record: dict[str, Any], end: _End, timeout: float, deadline: _Deadline, progress: Report) -> None:
     if "phase" not in record:
         end.last = record
         if timeout:

@@ -21,6 +21,7 @@ from gpusimbench.recorder.failure import NoHostMemory
 from gpusimbench.recorder.run.given_actions import begin_anew, prepare, write_applied
 from gpusimbench.recorder.run.intervention import Teacher, intervene
 from gpusimbench.recorder.run.journal import Journal
+from gpusimbench.recorder.run.pace import Report
 from gpusimbench.recorder.run.start import saved
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
@@ -89,7 +90,7 @@ class CapturePhase:
         self,
         journal: Journal,
         configuration: RunConfiguration,
-        progress: Callable[[str, int, int], None],
+        progress: Report,
         given: bytes | None = None,
     ) -> None:
         """given: the attachment GIVEN of the run."""
@@ -122,51 +123,13 @@ class CapturePhase:
             kept = StatesInMemory(
                 description.fields, n_env=c.n_env, rows=c.captured_steps + 1, n_action=n_action, workers=writer.workers
             )
-
         snapshots: dict[int, bytes] = {}
-
-        def save(step: int) -> None:
-            snapshots[step] = saved(simulator)
-
-        between = [(step, partial(save, step)) for step in c.snapshots]
-        if intervention and intervention.kind.repeats:
-            teacher = Teacher(self._given, simulator, description)
-            between += [(step, partial(teacher.set, number)) for number, step in enumerate(intervention.stops(c.steps))]
-        elif intervention and intervention.step >= c.first_step:
-            between.append((intervention.step, partial(intervene, simulator, description.fields, intervention, c)))
-        between.sort(key=lambda call: call[0])  # a snapshot of the same step comes first
-
-        def captured(done: int) -> None:
-            interruption.check()
-            self._progress("capture", done, c.steps)
-
+        between = self._between(simulator, description, intervention, snapshots)
         simulator.reserve(min(c.captured_steps, writer.steps_per_block))
         writer.begin()
-        # until it has finished, the sink is its thread's
-        writing = Writing(kept.keep if kept else blocks.write)
         clock = CaptureClock()
         try:
-            try:
-                step_and_capture(
-                    simulator,
-                    writing,
-                    clock,
-                    first=c.first_step,
-                    last=c.steps,
-                    block_steps=writer.steps_per_block,
-                    prepare=lambda first, count: prepare(simulator, c, first, count),
-                    progress=captured,
-                    stopped=lambda: bool(blocks.problem),
-                    between=between,
-                )
-            finally:
-                try:
-                    writing.finish()
-                finally:
-                    if kept:
-                        self._progress(interruption.ENDING, 0, 1)  # however long the disk takes
-                        with interruption.shielded():
-                            kept.write(blocks.write)
+            self._step(simulator, writer.steps_per_block, blocks, kept, clock, between)
         except DataLost:
             raise
         except BaseException:
@@ -184,6 +147,59 @@ class CapturePhase:
         self._journal.ask_gates(simulator)
         if not blocks.problem:
             write_applied(self._journal, simulator, c, c.first_step, c.captured_steps)
+
+    def _between(
+        self, simulator: Simulator, description: Description, intervention: Intervention | None,
+        snapshots: dict[int, bytes],
+    ) -> list[tuple[int, Callable[[], None]]]:  # fmt: skip
+        """What is done between steps, and after which: states are saved to `snapshots`, environments treated."""
+        c = self._configuration
+
+        def save(step: int) -> None:
+            snapshots[step] = saved(simulator)
+
+        between = [(step, partial(save, step)) for step in c.snapshots]
+        if intervention and intervention.kind.repeats:
+            teacher = Teacher(self._given, simulator, description)
+            between += [(step, partial(teacher.set, number)) for number, step in enumerate(intervention.stops(c.steps))]
+        elif intervention and intervention.step >= c.first_step:
+            between.append((intervention.step, partial(intervene, simulator, description.fields, intervention, c)))
+        return sorted(between, key=lambda call: call[0])  # a snapshot of the same step comes first
+
+    def _step(
+        self, simulator: Simulator, block_steps: int, blocks: _Blocks, kept: StatesInMemory | None, clock: CaptureClock,
+        between: Sequence[tuple[int, Callable[[], None]]],
+    ) -> None:  # fmt: skip
+        """Make all steps, and have their states written by another thread, meanwhile or afterwards."""
+        c = self._configuration
+
+        def captured(done: int) -> None:
+            interruption.check()
+            self._progress("capture", done, c.steps)
+
+        # until it has finished, the sink is its thread's
+        writing = Writing(kept.keep if kept else blocks.write)
+        try:
+            step_and_capture(
+                simulator,
+                writing,
+                clock,
+                first=c.first_step,
+                last=c.steps,
+                block_steps=block_steps,
+                prepare=lambda first, count: prepare(simulator, c, first, count),
+                progress=captured,
+                stopped=lambda: bool(blocks.problem),
+                between=between,
+            )
+        finally:
+            try:
+                writing.finish()
+            finally:
+                if kept:
+                    self._progress(interruption.ENDING, 0, 1)  # however long the disk takes
+                    with interruption.shielded():
+                        kept.write(blocks.write)
 
     def _attach(self, snapshots: dict[int, bytes]) -> None:
         # not while stepping: the file is another thread's then

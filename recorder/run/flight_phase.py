@@ -16,6 +16,7 @@ from gpusimbench.recorder.capture.stepping import CaptureClock
 from gpusimbench.recorder.run.given_actions import begin_anew, prepare, write_applied
 from gpusimbench.recorder.run.intervention import intervene
 from gpusimbench.recorder.run.journal import Journal
+from gpusimbench.recorder.run.pace import Report
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.flight import AFTER, BEFORE, BLOCK_STEPS, RING_STEPS, Flight, Watch
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -30,9 +31,7 @@ class FlightPhase:
     last_step  the last one made
     """
 
-    def __init__(
-        self, journal: Journal, configuration: RunConfiguration, progress: Callable[[str, int, int], None]
-    ) -> None:
+    def __init__(self, journal: Journal, configuration: RunConfiguration, progress: Report) -> None:
         self._journal = journal
         self._configuration = configuration
         self._progress = progress

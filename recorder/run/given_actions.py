@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.capture.actions import Actions, write_action_stream
+from gpusimbench.recorder.capture.actions import Actions
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.simulators.base import Simulator
+from gpusimbench.schemas import topics
 from gpusimbench.schemas.action_generator import Streams
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.treatment import Intervention, drawn
 
 
@@ -72,17 +75,32 @@ def write_applied(
     journal: Journal, simulator: Simulator, configuration: RunConfiguration, first_step: int, n_step: int
 ) -> None:
     """Write what the present phase applied; a gate fires where the engine holds other actions than it was given."""
-    if simulator.scene.actions is None:
+    actions, streams = simulator.scene.actions, simulator.streams
+    if actions is None:
         return
-    problem = write_action_stream(
-        journal.sink,
-        journal.phase,
-        simulator.scene.actions,
-        seed=configuration.seed,
-        streams=simulator.streams,
-        first_step=first_step,
-        n_step=n_step,
-        applied=simulator.applied(),
+    seed, n_env, last_step = configuration.seed, configuration.n_env, first_step + n_step - 1
+    first, last = (
+        actions.draw(seed, n_env=n_env, first_step=step, n_step=1, streams=streams)[0]
+        for step in (first_step, last_step)
     )
-    if problem:
-        journal.gate(problem)
+    applied = simulator.applied()
+    same = applied is not None and np.array_equal(applied, last)
+    message = message_class("gsb.v1.ActionStream")(
+        generator=actions.describe(seed, streams),
+        first_step=first_step,
+        steps=n_step,
+        envs=n_env,
+        first_sha256=_sha256(first),
+        last_sha256=_sha256(last),
+        verified=same,
+    )
+    topic = topics.action_stream(journal.phase)
+    journal.sink.channel(topic, "gsb.v1.ActionStream")
+    journal.sink.write(topic, message.SerializeToString())
+    if applied is not None and not same:
+        wrong = int(np.count_nonzero((applied != last).any(axis=1))) if applied.shape == last.shape else n_env
+        journal.gate(f"the engine's actions of step {last_step} are not those it was given, in {wrong} envs")
+
+
+def _sha256(array: NDArray[np.float32]) -> str:
+    return hashlib.sha256(np.ascontiguousarray(array, dtype="<f4").tobytes()).hexdigest()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from gpusimbench.schemas.commands.progress import duration
@@ -21,6 +22,10 @@ _WORDS = {
     "capture": "capture",
     "ending": "writing the end",
 }
+
+
+Report = Callable[[str, int, int], None]
+"""Called with a phase of a run, the steps done in it, and those that it has; with interruption.ENDING at the end."""
 
 
 @dataclass

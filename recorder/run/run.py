@@ -38,7 +38,7 @@ from gpusimbench.recorder.run.flight_phase import FlightPhase
 from gpusimbench.recorder.run.given_actions import streams_of
 from gpusimbench.recorder.run.import_phase import write_imported, write_trials
 from gpusimbench.recorder.run.journal import Journal, Phase
-from gpusimbench.recorder.run.pace import COMPILE, REBUILD
+from gpusimbench.recorder.run.pace import COMPILE, REBUILD, Report
 from gpusimbench.recorder.run.timed_phase import warm_up_and_time
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model import ModelScene
@@ -58,19 +58,15 @@ from gpusimbench.schemas.provenance import (
     SCENE,
     SIMULATION,
     Provenance,
-    ReplayOf,
 )
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED
 
 INPUTS = {GIVEN: MEDIA_TYPE, CONTROLS: MEDIA_TYPE, model_files.MODEL: model_files.MEDIA_TYPE}
 """Files that a run may be given, and the media type of each."""
 
-Progress = Callable[[str, int, int], None]
-"""Called with a phase, the steps done in it, and the steps that it has; with interruption.ENDING at the end."""
-
 
 @dataclass(frozen=True)
-class Outcome:
+class RunEnd:
     """How a run ended: COMPLETE, FAILED or INVALID, why, and a name of gsb.v1.Cause, empty when complete."""
 
     status: str
@@ -107,12 +103,9 @@ class _Adapter:
 class Run:
     """Records one run into `path`.
 
-    run_id       unique (UUID4)
-    argv         the user's command
-    created      UTC, ISO 8601
+    provenance   what is known before the run's process begins; the run adds its machine and software
     log          returns what the engine printed so far
     reserved     the .partial file of `path` is there already, empty, made for this run
-    replay_of    the recording whose configuration it is
     inputs       files that the run is given, by the names that its recording attaches them under (INPUTS)
     interrupted  whether the one who started this process has interrupted it: an engine that handles signals itself may
                  keep them from this process
@@ -120,30 +113,26 @@ class Run:
 
     def __init__(
         self,
-        configuration: RunConfiguration,
+        provenance: Provenance,
         path: Path,
         *,
-        run_id: str,
-        argv: tuple[str, ...],
-        created: str,
-        progress: Progress,
+        progress: Report,
         log: Callable[[], bytes],
         reserved: bool = False,
-        replay_of: ReplayOf | None = None,
         inputs: Mapping[str, bytes] | None = None,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._configuration = configuration
+        self._configuration = provenance.configuration
         self._path = path
         self._progress = progress
         self._log = log
-        self._provenance = Provenance(run_id, created, argv, configuration, replay_of=replay_of)
+        self._provenance = provenance
         self._reserved = reserved
         self._inputs = inputs or {}
         self._interrupted = interrupted
 
-    def record(self) -> Outcome:
-        """Run all phases. DataLost where the file cannot be written; any other failure is an Outcome.
+    def record(self) -> RunEnd:
+        """Run all phases. DataLost where the file cannot be written; any other failure is a RunEnd.
 
         Takes over SIGINT and SIGTERM: the first ends the run, and none comes between the run and the file's end.
         """
@@ -165,7 +154,7 @@ class Run:
         except BaseException:
             sink.abandon()
             raise
-        return Outcome(status, reason, cause, self._path)
+        return RunEnd(status, reason, cause, self._path)
 
     def _guarded(self, journal: Journal, captured: CapturePhase | FlightPhase) -> tuple[str, str, str]:
         try:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from gpusimbench.recorder.capture.states import declare_fingerprints, write_fing
 from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.run.given_actions import given, write_applied
 from gpusimbench.recorder.run.journal import Journal, Phase
+from gpusimbench.recorder.run.pace import Report
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fingerprint import fingerprint
@@ -47,7 +48,7 @@ def warm_up_and_time(
     engine: Engine,
     description: Description,
     configuration: RunConfiguration,
-    progress: Callable[[str, int, int], None],
+    progress: Report,
 ) -> None:
     """Step through both phases; what speaks against them is noted as gates of the journal."""
     sink, warmup, steps = journal.sink, configuration.warmup, configuration.timed_steps

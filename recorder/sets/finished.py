@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gpusimbench.recorder.environments.interpreter import Interpreter
-from gpusimbench.recorder.sets.sweep import Outcome, Place
+from gpusimbench.recorder.sets.sweep import Outcome, SweepRun
 from gpusimbench.schemas import PARTIAL, topics
 from gpusimbench.schemas.commands.folder_lock import folder_lock
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -111,7 +111,7 @@ def _where(host: dict[str, Any], gpus: Sequence[dict[str, Any]], software: dict[
     return json.dumps([host.get("cpu", ""), names, software.get("packages", {})], sort_keys=True)
 
 
-def matching(found: Iterable[Finished], wanted: RunConfiguration, where: str = "") -> dict[Place, Finished]:
+def matching(found: Iterable[Finished], wanted: RunConfiguration, where: str = "") -> dict[SweepRun, Finished]:
     """Those that need not be made again, by their place in a sweep of `wanted` over n_env.
 
     where  machine and software that they must be of (`where_am_i`); empty: of any
@@ -120,10 +120,10 @@ def matching(found: Iterable[Finished], wanted: RunConfiguration, where: str = "
     difference, and a complete one goes before another. An interrupted run is to be made again, and so is one that
     failed for a cause that is not known, or that timed out before the time that it would get now.
     """
-    places: dict[Place, Finished] = {}
+    places: dict[SweepRun, Finished] = {}
     for run in found:
         if in_common(run.configuration) == in_common(wanted) and _settled(run, wanted) and where in ("", run.where):
-            place = Place(run.configuration.n_env, run.configuration.run_index)
+            place = SweepRun(run.configuration.n_env, run.configuration.run_index)
             if place not in places or run.outcome.good > places[place].outcome.good:
                 places[place] = run
     return places

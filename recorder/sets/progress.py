@@ -16,10 +16,10 @@ from gpusimbench.schemas.commands.progress import Ticker, duration, is_terminal
 from gpusimbench.schemas.text import line, show
 
 
-class Progress(Protocol):
+class SetProgress(Protocol):
     """What the command shows while it works; a context manager."""
 
-    def __enter__(self) -> Progress: ...
+    def __enter__(self) -> SetProgress: ...
 
     def __exit__(self, *details: object) -> None: ...
 
@@ -33,7 +33,7 @@ class Progress(Protocol):
         """Print the path of a run's file on standard output."""
 
 
-def make_progress(title: str, runs: int, done: int = 0) -> Progress:
+def make_progress(title: str, runs: int, done: int = 0) -> SetProgress:
     """A bar where stderr is a terminal, lines otherwise; `done` of the runs are there already."""
     return BarProgress(title, runs, done) if is_terminal(sys.stderr) else LineProgress(title, runs, done)
 
@@ -68,18 +68,18 @@ class LineProgress:
         self._ticker.__exit__(*details)
 
     def update(self, run: int, phase: str, done: int, of: int) -> None:
-        """See Progress.update."""
+        """See SetProgress.update."""
         with self._ticker.paused():
             self._pace.update(run, phase, done, of, self._clock())
 
     def finish(self, result: Result, elapsed: float | None = None) -> None:
-        """See Progress.finish."""
+        """See SetProgress.finish."""
         with self._ticker.paused():
             took = self._pace.finish(result.run_index, self._clock(), elapsed)
             say(describe(result, self._runs, took))
 
     def path(self, path: Path) -> None:
-        """See Progress.path."""
+        """See SetProgress.path."""
         show_path(path)
 
 
@@ -123,12 +123,12 @@ class BarProgress:
         self._bars.stop()
 
     def update(self, run: int, phase: str, done: int, of: int) -> None:
-        """See Progress.update."""
+        """See SetProgress.update."""
         self._pace.update(run, phase, done, of, time.monotonic())
         self._bars.update(self._phase_bar, description=f"run {run + 1}: {phase}", completed=done, total=of)
 
     def finish(self, result: Result, elapsed: float | None = None) -> None:
-        """See Progress.finish."""
+        """See SetProgress.finish."""
         took = self._pace.finish(result.run_index, time.monotonic(), elapsed)
         self._bars.console.print(line(describe(result, self._runs, took)), highlight=False, markup=False)
         self._bars.advance(self._run_bar)
@@ -138,7 +138,7 @@ class BarProgress:
         return "" if left is None else f"about {duration(left)} left"
 
     def path(self, path: Path) -> None:
-        """See Progress.path; where the bars share the terminal with standard output, printed above them, unbroken."""
+        """See SetProgress.path; where the bars share the terminal with standard output, unbroken above them."""
         if _one_terminal():
             self._bars.console.print(line(str(path)), soft_wrap=True, markup=False, emoji=False, highlight=False)
         else:

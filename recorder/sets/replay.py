@@ -40,7 +40,7 @@ _SHOWN_CHARACTERS = 600
 
 
 @dataclass(frozen=True)
-class Source:
+class ReplaySource:
     """A recording that can be replayed.
 
     path           of the file
@@ -65,7 +65,7 @@ class Source:
     digests: Mapping[str, str]
 
 
-def read_source(path: Path, *, allow_model: bool = False) -> Source:
+def read_source(path: Path, *, allow_model: bool = False) -> ReplaySource:
     """What a recording says of itself.
 
     allow_model  the model files that it carries may be loaded
@@ -79,7 +79,7 @@ def read_source(path: Path, *, allow_model: bool = False) -> Source:
         raise type(error)(said if str(path) in said else f"{path}: {said}") from None
 
 
-def _read(container: Container, path: Path, allow_model: bool) -> Source:
+def _read(container: Container, path: Path, allow_model: bool) -> ReplaySource:
     end = run_end(container)
     if end is None:
         raise DamagedRecording("incomplete: a run that has no end cannot be replayed")
@@ -121,14 +121,19 @@ def _read(container: Container, path: Path, allow_model: bool) -> Source:
         raise DamagedRecording("the end record was changed since the recording was made")
     check_traces(container, c, simulation.fields)
     cage = Cage(peak_bytes(container, end.peak_rss_bytes), content_bytes(container, c, simulation.fields))
-    return Source(
+    return ReplaySource(
         path, provenance.run_id, end.content_hash, c, simulation.fields, scene_hash, ran_s(container), cage,
         dict(end.digests),
     )  # fmt: skip
 
 
 def replayed(
-    source: Source, *, options: Mapping[str, str], phases: tuple[str, ...] | None, timeout: float, compression: str
+    source: ReplaySource,
+    *,
+    options: Mapping[str, str],
+    phases: tuple[str, ...] | None,
+    timeout: float,
+    compression: str,
 ) -> RunConfiguration:
     """What is to be run: as recorded, but for these.
 
@@ -156,7 +161,7 @@ def replayed(
 
 
 def begun(
-    source: Source, configuration: RunConfiguration, from_step: int | None
+    source: ReplaySource, configuration: RunConfiguration, from_step: int | None
 ) -> tuple[RunConfiguration, dict[str, bytes]]:
     """How a replay begins, as the recording did or at a snapshot that it has, and the files that it is given for that.
 
@@ -194,14 +199,14 @@ def begun(
     return replace(c, initial=str(how), phases=("capture",), snapshots=later), {**model, GIVEN: data}
 
 
-def _attached(source: Source, name: str) -> bytes:
+def _attached(source: ReplaySource, name: str) -> bytes:
     data = Container(source.path).attachment(name)
     if data is None or hashlib.sha256(data).hexdigest() != source.digests.get(attachment_name(name)):
         raise DamagedRecording(f"{source.path}: {name} is missing, or was changed since the recording was made")
     return data
 
 
-def origin(source: Source, configuration: RunConfiguration) -> ReplayOf:
+def origin(source: ReplaySource, configuration: RunConfiguration) -> ReplayOf:
     """What a replay's recording says of the one that it is a replay of."""
     was = source.configuration
     changed = {
@@ -216,7 +221,7 @@ def origin(source: Source, configuration: RunConfiguration) -> ReplayOf:
     return ReplayOf(source.run_id, source.content_hash, changed)
 
 
-def check_scene(source: Source, scene: Scene) -> None:
+def check_scene(source: ReplaySource, scene: Scene) -> None:
     """UsageError where the scene of that name is another one here."""
     if scene.sha256() != source.scene_sha256:
         raise UsageError(
@@ -225,7 +230,7 @@ def check_scene(source: Source, scene: Scene) -> None:
         )
 
 
-def check_varied(source: Source, configuration: RunConfiguration, scene: Scene) -> None:
+def check_varied(source: ReplaySource, configuration: RunConfiguration, scene: Scene) -> None:
     """UsageError where environments would have other parameters here than the recording says that they had."""
     c = configuration
     drawn_here = variation(c.vary, scene, n_env=c.n_env, seed=c.seed)
@@ -233,7 +238,7 @@ def check_varied(source: Source, configuration: RunConfiguration, scene: Scene) 
         raise UsageError(f"{source.path} cannot be replayed: --vary {c.vary} draws other parameters here than it has")
 
 
-def check_room(source: Source, runs: int, folder: Path) -> None:
+def check_room(source: ReplaySource, runs: int, folder: Path) -> None:
     """UsageError where this machine has not the memory or the disk for what the recording asks for, at the least."""
     may, why = source.cage.memory(memory_bytes())
     wanted = least_memory(source.configuration, source.fields)
@@ -250,7 +255,7 @@ def check_room(source: Source, runs: int, folder: Path) -> None:
         )
 
 
-def announcement(source: Source, configuration: RunConfiguration) -> str:
+def announcement(source: ReplaySource, configuration: RunConfiguration) -> str:
     """One line: what is going to be run, and how long it took where it was recorded."""
     c = configuration
     steps = []

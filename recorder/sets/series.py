@@ -12,10 +12,10 @@ from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.plan import prepare_folder, runs
 from gpusimbench.recorder.process.cage import Cage
-from gpusimbench.recorder.process.launch import Interruptions, Result
-from gpusimbench.recorder.sets.progress import Progress, make_progress, say
-from gpusimbench.recorder.sets.sweep import Outcome, Outcomes, Place, Sweep
-from gpusimbench.recorder.sets.task import Task, make
+from gpusimbench.recorder.process.launch import Interruptions, Result, make
+from gpusimbench.recorder.process.planned_run import PlannedRun, provenance_now
+from gpusimbench.recorder.sets.progress import SetProgress, make_progress, say
+from gpusimbench.recorder.sets.sweep import Outcome, Outcomes, Sweep, SweepRun
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import ReplayOf
@@ -49,9 +49,10 @@ class Request:
     cage: Cage | None = None
     inputs: Mapping[str, bytes] = field(default_factory=dict)
 
-    def task(self, run: RunConfiguration) -> Task:
+    def planned(self, run: RunConfiguration) -> PlannedRun:
         """One of the runs, to be made now."""
-        return Task(run, self.argv, self.replay_of, self.end_killed, self.cage, self.inputs)
+        provenance = provenance_now(run, self.argv, self.replay_of)
+        return PlannedRun(provenance, self.end_killed, self.cage, self.inputs)
 
 
 class Maker(Protocol):
@@ -61,7 +62,7 @@ class Maker(Protocol):
         """Machine and software that runs are made with, as of recorder.sets.finished."""
 
     def make(
-        self, request: Request, planned: Sequence[RunConfiguration], progress: Progress, interruptions: Interruptions
+        self, request: Request, planned: Sequence[RunConfiguration], progress: SetProgress, interruptions: Interruptions
     ) -> Generator[tuple[RunConfiguration, Result], None, None]:
         """Make the runs and tell how each ended, in the order in which they end, the first of them before all others.
 
@@ -85,7 +86,7 @@ class Here:
         return where_am_i(self._interpreter)
 
     def make(
-        self, request: Request, planned: Sequence[RunConfiguration], progress: Progress, interruptions: Interruptions
+        self, request: Request, planned: Sequence[RunConfiguration], progress: SetProgress, interruptions: Interruptions
     ) -> Generator[tuple[RunConfiguration, Result], None, None]:
         """See Maker.make."""
         for run in planned:
@@ -93,7 +94,7 @@ class Here:
             def report(phase: str, done: int, of: int, index: int = run.run_index) -> None:
                 progress.update(index, phase, done, of)
 
-            result = make(request.task(run), request.out, self._interpreter, report, interruptions)
+            result = make(request.planned(run), request.out, self._interpreter, report, interruptions)
             progress.finish(result)
             yield run, result
             if interruptions.count:
@@ -163,7 +164,7 @@ def _record_sweep(request: Request, sweep: Sweep, maker: Maker, where: str) -> t
             ):
                 for run, result in made:
                     _show(request, result, progress)
-                    place = Place(n_env, run.run_index)
+                    place = SweepRun(n_env, run.run_index)
                     known[place] = _outcome(result)
                     results[place] = {**_json(run, result.path, known[place]), "found": False}
                     codes[n_env] = max(codes.get(n_env, ExitCode.OK), result.exit_code)
@@ -187,7 +188,7 @@ def _record_sweep(request: Request, sweep: Sweep, maker: Maker, where: str) -> t
     return int(code), {"sweep": summary, "runs": [results[place] for place in sorted(results)]}
 
 
-def _show(request: Request, result: Result, progress: Progress) -> None:
+def _show(request: Request, result: Result, progress: SetProgress) -> None:
     if not request.quiet and result.path:
         progress.path(result.path)
 
@@ -239,7 +240,7 @@ def _heading(sweep: Sweep, n_env: int, known: Outcomes) -> tuple[str, int, int]:
     )
 
 
-def _summary(sweep: Sweep, known: dict[Place, Outcome], cut: str) -> Json:
+def _summary(sweep: Sweep, known: dict[SweepRun, Outcome], cut: str) -> Json:
     points = [
         {"n_env": n_env, "n_run": sum(o.good for o in at), "n_recording": len(at)}
         for n_env in sweep.reached(known)

@@ -20,7 +20,7 @@ CERTAIN = ("DEVICE_MEMORY", "HOST_MEMORY", "BUFFER", "REFUSED", "TIMEOUT")
 _RANGE = re.compile(r"([0-9]{1,18})\.\.([0-9]{1,18})(?::([0-9]{1,18}))?")
 
 
-class Place(NamedTuple):
+class SweepRun(NamedTuple):
     """A run's place in a sweep."""
 
     n_env: int
@@ -46,7 +46,7 @@ class Outcome:
         return self.status == "complete"
 
 
-Outcomes = Mapping[Place, Outcome]
+Outcomes = Mapping[SweepRun, Outcome]
 
 
 def parse_points(text: str) -> tuple[int, ...]:
@@ -89,10 +89,10 @@ class Sweep:
     points: tuple[int, ...]
     runs: int
 
-    def __contains__(self, place: Place) -> bool:
+    def __contains__(self, place: SweepRun) -> bool:
         return place.n_env in self.points and place.run_index < self.runs
 
-    def next_places(self, known: Outcomes) -> list[Place]:
+    def next_places(self, known: Outcomes) -> list[SweepRun]:
         """The runs to be made next, all of one point, in order; empty when the sweep is over."""
         return self.missing(self.reached(known)[-1], known)
 
@@ -103,13 +103,13 @@ class Sweep:
                 return self.points[:number]
         return self.points
 
-    def missing(self, n_env: int, known: Outcomes) -> list[Place]:
+    def missing(self, n_env: int, known: Outcomes) -> list[SweepRun]:
         """The runs of a point that are to be made still, in order."""
         return [] if self.cut_short(n_env, known) else self._unknown(n_env, known)
 
     def cut_short(self, n_env: int, known: Outcomes) -> int:
         """How many runs of a point need not be made, since its first showed that they fail as well."""
-        first = known.get(Place(n_env, 0))
+        first = known.get(SweepRun(n_env, 0))
         if first is None or first.good or first.cause not in CERTAIN or self._sustained(n_env, known):
             return 0
         return len(self._unknown(n_env, known))
@@ -134,11 +134,11 @@ class Sweep:
 
     def at(self, n_env: int, known: Outcomes) -> list[Outcome]:
         """What is known of a point, in the order of its runs."""
-        places = (Place(n_env, index) for index in range(self.runs))
+        places = (SweepRun(n_env, index) for index in range(self.runs))
         return [known[place] for place in places if place in known]
 
-    def _unknown(self, n_env: int, known: Outcomes) -> list[Place]:
-        return [place for index in range(self.runs) if (place := Place(n_env, index)) not in known]
+    def _unknown(self, n_env: int, known: Outcomes) -> list[SweepRun]:
+        return [place for index in range(self.runs) if (place := SweepRun(n_env, index)) not in known]
 
     def _sustained(self, n_env: int, known: Outcomes) -> bool:
         return any(outcome.good for outcome in self.at(n_env, known))

@@ -32,7 +32,7 @@ RING_STEPS = BEFORE + AFTER + 2 * BLOCK_STEPS
 """Steps that are held: a window may reach back from the block that was looked at last, and another is being made."""
 
 
-class Kind(IntEnum):
+class FailureKind(IntEnum):
     """What first happened to an environment; where several things happen in one step, the first of these is told."""
 
     NOT_FINITE = 0
@@ -73,14 +73,14 @@ class Watch:
         return np.asarray(np.abs(self.local(field, array, envs)) > self.within)
 
 
-def failure(step: int, kind: Kind) -> int:
+def failure(step: int, kind: FailureKind) -> int:
     """A failure as one number: the earlier it is, and the earlier its kind, the smaller."""
-    return step * len(Kind) + kind
+    return step * len(FailureKind) + kind
 
 
-def step_and_kind(failure: int) -> tuple[int, Kind]:
+def step_and_kind(failure: int) -> tuple[int, FailureKind]:
     """Step and kind of a failure."""
-    return failure // len(Kind), Kind(failure % len(Kind))
+    return failure // len(FailureKind), FailureKind(failure % len(FailureKind))
 
 
 class Flight(ABC):
@@ -170,23 +170,25 @@ class HostFlight(Flight):
             for kind, failed in self._failed(states, bits):
                 there = failed.any(axis=0)
                 when = rows[0] + failed.argmax(axis=0)
-                self._failures[there] = np.minimum(self._failures, when * len(Kind) + kind)[there]
+                self._failures[there] = np.minimum(self._failures, when * len(FailureKind) + kind)[there]
         finally:
             block.release()
         self._looked_at += len(rows)
         return self._failures
 
-    def _failed(self, states: States, bits: NDArray[np.uint32] | None) -> Iterator[tuple[Kind, NDArray[np.bool_]]]:
+    def _failed(
+        self, states: States, bits: NDArray[np.uint32] | None
+    ) -> Iterator[tuple[FailureKind, NDArray[np.bool_]]]:
         # what happened anywhere in the block, and where [step, env]
         for field, array in zip(self._watch.fields, states, strict=True):
             for kind, wrong in (
-                (Kind.NOT_FINITE, ~np.isfinite(array)),
-                (Kind.OUT_OF_BOUNDS, self._watch.beyond(field, array)),
+                (FailureKind.NOT_FINITE, ~np.isfinite(array)),
+                (FailureKind.OUT_OF_BOUNDS, self._watch.beyond(field, array)),
             ):
                 if wrong.any():
                     yield kind, np.asarray(wrong.any(axis=(2, 3)))
         if bits is not None and self._watch.fatal and (hit := bits & np.uint32(self._watch.fatal)).any():
-            yield Kind.OVERFLOW, hit != 0
+            yield FailureKind.OVERFLOW, hit != 0
 
     def window(self, env: int, first: int, last: int) -> States:
         """See Flight.window."""

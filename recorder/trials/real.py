@@ -51,7 +51,7 @@ _NOTES = {
 
 
 @dataclass(frozen=True)
-class Target:
+class Destination:
     """Where and how trials are recorded.
 
     out   folder
@@ -63,7 +63,9 @@ class Target:
     argv: tuple[str, ...]
 
 
-def record_trials(scene: Scene, path: Path, target: Target, *, unit: str, sample_time: float = SAMPLE_TIME) -> Path:
+def record_trials(
+    scene: Scene, path: Path, destination: Destination, *, unit: str, sample_time: float = SAMPLE_TIME
+) -> Path:
     """Write one recording from a CSV file; returns its path. Nothing is written unless every row is good.
 
     unit         of the positions in the file, of UNITS
@@ -104,7 +106,7 @@ def record_trials(scene: Scene, path: Path, target: Target, *, unit: str, sample
         warmup=0,
         timed_steps=0,
         phases=("capture",),
-        compression=target.compression,
+        compression=destination.compression,
         options={"unit": unit},
     )
     kind = FIELD_KINDS["position"]
@@ -114,7 +116,7 @@ def record_trials(scene: Scene, path: Path, target: Target, *, unit: str, sample
     )  # fmt: skip
     options = {"unit": unit, "trials": list(trials.names)}
     simulation = _measured(scene, (field,), "each trial was set up anew", options=options, parameters={})
-    with _new_recording(target, configuration, scene, simulation) as sink:
+    with _new_recording(destination, configuration, scene, simulation) as sink:
         sink.attach(TRIALS, "text/csv", data)
         _write_field(sink, configuration, field, trials.positions[np.newaxis], first_step=1)
         sink.finish("COMPLETE", "", last_step=1, peak_rss_bytes=0)
@@ -217,7 +219,7 @@ def _number(cell: str, row: int, column: str) -> float:
     return value
 
 
-def record_tosses(scene: Scene, path: Path | None, target: Target) -> Path:
+def record_tosses(scene: Scene, path: Path | None, destination: Destination) -> Path:
     """Write the recording of a set of tosses; returns its path.
 
     path  of the set; None: as of read_tosses
@@ -232,11 +234,11 @@ def record_tosses(scene: Scene, path: Path | None, target: Target) -> Path:
         warmup=0,
         timed_steps=0,
         phases=("capture",),
-        compression=target.compression,
+        compression=destination.compression,
     )
     fields = body_fields({GROUP: scene.groups()[GROUP]}, "float64", _NOTES)
     simulation = _measured(scene, fields, "each toss was thrown anew", options={}, parameters=scene.parameters)
-    with _new_recording(target, configuration, scene, simulation) as sink:
+    with _new_recording(destination, configuration, scene, simulation) as sink:
         sink.attach(TOSSES, "application/json", tosses.known.to_json().encode())
         if tosses.notice:
             sink.attach("LICENSE", "text/plain", tosses.notice.encode())
@@ -273,13 +275,13 @@ def _measured(
 
 @contextmanager
 def _new_recording(
-    target: Target, configuration: RunConfiguration, scene: Scene, simulation: Simulation
+    destination: Destination, configuration: RunConfiguration, scene: Scene, simulation: Simulation
 ) -> Iterator[Sink]:
     """A recording of trials that is being written; on an error nothing remains, but for data that was lost."""
-    prepare_folder(target.out)
+    prepare_folder(destination.out)
     created = utc_now()
-    provenance = Provenance(str(uuid.uuid4()), created, target.argv, configuration, software=describe_software())
-    path = reserve(target.out, configuration, created)
+    provenance = Provenance(str(uuid.uuid4()), created, destination.argv, configuration, software=describe_software())
+    path = reserve(destination.out, configuration, created)
     try:
         sink = Sink(path, compression=configuration.compression, reserved=True)
         try:

@@ -44,7 +44,7 @@ class _Message(NamedTuple):
     size: int  # of the whole record
 
 
-class Place(NamedTuple):
+class NextMessages(NamedTuple):
     """Where messages would begin, one of each of some channels, and what their records have beside their content.
 
     offset        in the file

@@ -21,10 +21,10 @@ from gpusimbench.recorder.cli import main
 from gpusimbench.recorder.probes.host import memory_bytes
 from gpusimbench.recorder.process import cage
 from gpusimbench.recorder.process.cage import LEAST_MEMORY, Cage, Guard
+from gpusimbench.recorder.process.planned_run import PlannedRun, provenance_now
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.sets import replay
 from gpusimbench.recorder.sets.replay import check_room, read_source
-from gpusimbench.recorder.sets.task import Task
 from gpusimbench.recorder.sets.traces import content_bytes, peak_bytes
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -268,9 +268,9 @@ def test_every_shipped_recording_has_room() -> None:
 def test_a_cage_travels(tmp_path: Path) -> None:
     """Send a run's cage to where the run is made."""
     run = RunConfiguration("mujoco", "free-fall", 1, 0.01, 5)
-    task = Task(run, (), cage=Cage(7, 9))
-    assert Task.from_json(json.loads(json.dumps(task.to_json()))) == task
-    assert Task.from_json(json.loads(json.dumps(replace(task, cage=None).to_json()))).cage is None
+    planned = PlannedRun(provenance_now(run, ()), cage=Cage(7, 9))
+    assert PlannedRun.from_json(json.loads(json.dumps(planned.to_json()))) == planned
+    assert PlannedRun.from_json(json.loads(json.dumps(replace(planned, cage=None).to_json()))).cage is None
 
 
 def test_content_of_what_is_asked(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from gpusimbench.recorder.simulators.calibration.chance import places, shares
 from gpusimbench.recorder.simulators.calibration.model import model_of
 from gpusimbench.recorder.simulators.calibration.options import REGIMES, CalibrationOptions
 from gpusimbench.recorder.simulators.calibration.simulator import Calibration
-from gpusimbench.recorder.simulators.flight import NEVER, Kind, Watch, step_and_kind
+from gpusimbench.recorder.simulators.flight import NEVER, FailureKind, Watch, step_and_kind
 from gpusimbench.schemas.errors import UsageError
 
 Json = dict[str, Any]
@@ -60,7 +60,7 @@ def test_a_planted_failure() -> None:
     simulator.set_state(broken, np.array([3]))
     flight.begin(20)
     failures = flight.failures()
-    assert step_and_kind(int(failures[3])) == (41, Kind.NOT_FINITE)
+    assert step_and_kind(int(failures[3])) == (41, FailureKind.NOT_FINITE)
     assert (np.delete(failures, 3) == NEVER).all()
     for array in flight.window(3, 0, 60):
         assert np.isfinite(array[:41]).all()

@@ -29,7 +29,7 @@ from gpusimbench.recorder.cluster.gathering import Spoiled, Stopped, gather
 from gpusimbench.recorder.cluster.node import code
 from gpusimbench.recorder.cluster.seats import needs_gpu, spots
 from gpusimbench.recorder.process.launch import Result
-from gpusimbench.recorder.sets.task import Task
+from gpusimbench.recorder.process.planned_run import PlannedRun, provenance_now
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from tests.conftest import call, command, run_python, wait_for
@@ -177,14 +177,14 @@ def test_nobody_is_left() -> None:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Task, Path]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[PlannedRun, Path]:
     """A run that was made, and its recording."""
     folder = tmp_path_factory.mktemp("made")
     done = subprocess.run([*command("gsb-record"), *TINY, "--n-env", "2", "--runs", "1", "--out", folder], check=True)
     assert done.returncode == 0
     (path,) = folder.iterdir()
     said = open_recording(path).provenance
-    return Task(said.configuration, said.argv, run_id=said.run_id, created=said.created_utc), path
+    return PlannedRun(said), path
 
 
 def _hashed(path: Path) -> dict[str, Any]:
@@ -195,22 +195,22 @@ def _read(path: str, offset: int, length: int) -> bytes:
     return Path(path).read_bytes()[offset : offset + length]
 
 
-def test_a_file_comes_in_pieces(made: tuple[Task, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_comes_in_pieces(made: tuple[PlannedRun, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Copy a file in pieces, byte for byte, under the name that it would have had here."""
     monkeypatch.setattr(gathering, "PIECE_BYTES", 1000)
-    task, path = made
-    here = gather(task, [_hashed(path)], str(path.parent), tmp_path, _read, lambda: False)
+    planned, path = made
+    here = gather(planned, [_hashed(path)], str(path.parent), tmp_path, _read, lambda: False)
     assert here == {path.name: tmp_path / path.name}
     assert here[path.name].read_bytes() == path.read_bytes()
-    again = gather(task, [_hashed(path)], str(path.parent), tmp_path, _read, lambda: False)
+    again = gather(planned, [_hashed(path)], str(path.parent), tmp_path, _read, lambda: False)
     assert again[path.name].name == path.name.replace(".mcap", "-2.mcap")
     assert len(list(tmp_path.iterdir())) == 2
 
 
 @pytest.mark.parametrize("spoil", ["byte", "short", "unfinished", "another"])
-def test_a_file_that_is_not_right_leaves_nothing(made: tuple[Task, Path], tmp_path: Path, spoil: str) -> None:
+def test_a_file_that_is_not_right_leaves_nothing(made: tuple[PlannedRun, Path], tmp_path: Path, spoil: str) -> None:
     """Refuse a file that changed on its way, came in part, has no end, or is of another run; and leave nothing."""
-    task, path = made
+    planned, path = made
     source, out = tmp_path / "node", tmp_path / "out"
     source.mkdir()
     out.mkdir()
@@ -218,7 +218,7 @@ def test_a_file_that_is_not_right_leaves_nothing(made: tuple[Task, Path], tmp_pa
     (source / path.name).write_bytes(content[: len(content) // 2] if spoil == "unfinished" else content)
     described = _hashed(source / path.name)
     if spoil == "another":
-        task = replace(task, run_id="another")
+        planned = replace(planned, provenance=replace(planned.provenance, run_id="another"))
 
     def read(name: str, offset: int, length: int) -> bytes:
         piece = _read(name, offset, length)
@@ -227,34 +227,34 @@ def test_a_file_that_is_not_right_leaves_nothing(made: tuple[Task, Path], tmp_pa
         return piece[: len(piece) // 2] if spoil == "short" and offset == 0 else b"" if spoil == "short" else piece
 
     with pytest.raises(Spoiled):
-        gather(task, [described], str(source), out, read, lambda: False)
+        gather(planned, [described], str(source), out, read, lambda: False)
     assert not list(out.iterdir())
 
 
-def test_a_second_file_that_is_not_right_takes_the_first_with_it(made: tuple[Task, Path], tmp_path: Path) -> None:
+def test_a_second_file_that_is_not_right_takes_the_first_with_it(made: tuple[PlannedRun, Path], tmp_path: Path) -> None:
     """Leave nothing of what a killed run had written where the recording that says so does not come."""
-    task, path = made
+    planned, path = made
     source, out = tmp_path / "node", tmp_path / "out"
     source.mkdir()
     out.mkdir()
     (source / path.name).write_bytes(path.read_bytes())
     (source / f"{path.name}.partial").write_bytes(b"cut short")
     described = [_hashed(file) for file in source.iterdir()]
-    here = gather(task, described, str(source), out, _read, lambda: False)
+    here = gather(planned, described, str(source), out, _read, lambda: False)
     assert {file.suffix for file in here.values()} == {".mcap", ".partial"}
     for file in here.values():
         file.unlink()
     (source / path.name).write_bytes(path.read_bytes()[:-1])
     with pytest.raises(Spoiled):
-        gather(task, described, str(source), out, _read, lambda: False)
+        gather(planned, described, str(source), out, _read, lambda: False)
     assert not list(out.iterdir())
 
 
-def test_copying_can_be_given_up(made: tuple[Task, Path], tmp_path: Path) -> None:
+def test_copying_can_be_given_up(made: tuple[PlannedRun, Path], tmp_path: Path) -> None:
     """Leave nothing of a file that was given up on its way."""
-    task, path = made
+    planned, path = made
     with pytest.raises(Stopped):
-        gather(task, [_hashed(path)], str(path.parent), tmp_path, _read, lambda: True)
+        gather(planned, [_hashed(path)], str(path.parent), tmp_path, _read, lambda: True)
     assert not list(tmp_path.iterdir())
 
 
@@ -262,7 +262,7 @@ def test_copying_can_be_given_up(made: tuple[Task, Path], tmp_path: Path) -> Non
 
 
 def _node(tmp_path: Path, **wanted: Any) -> subprocess.Popen[str]:
-    first = {"simulator": "mujoco", "scene": "free-fall", "python": "", "code": code().sha256, "task": None, **wanted}
+    first = {"simulator": "mujoco", "scene": "free-fall", "python": "", "code": code().sha256, "run": None, **wanted}
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "gpusimbench.recorder.cluster.node"
          ], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
@@ -303,7 +303,7 @@ def test_a_node_without_the_engine(tmp_path: Path) -> None:
 def test_a_node_that_nobody_listens_to_any_more(tmp_path: Path) -> None:
     """Kill the run, and leave nothing behind, when the input ends."""
     long = RunConfiguration("mujoco", "free-fall", 2, 0.01, 20, timed_steps=1_000_000_000)
-    process = _node(tmp_path, task=Task(long, ("gsb-record",)).to_json())
+    process = _node(tmp_path, run=PlannedRun(provenance_now(long, ("gsb-record",))).to_json())
     assert next(_lines(process))["phase"]
     assert list(tmp_path.iterdir())
     process.communicate(timeout=300)

@@ -215,6 +215,7 @@ import signal, sys
 from pathlib import Path
 from gpusimbench.recorder.run.run import Run
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.provenance import Provenance
 
 def expire(phase, done, of):
     if phase == "capture" and done > 100:
@@ -222,8 +223,8 @@ def expire(phase, done, of):
 
 configuration = RunConfiguration("mujoco", "inclined-collision", 2, 0.01, 1_000_000, phases=("capture",),
                                  timeout=1e6, keep="failing", intervention="poison@30")
-Run(configuration, Path(sys.argv[1]), run_id="r", argv=("x",), created="2026-01-01T00:00:00Z", progress=expire,
-    log=lambda: b"").record()
+provenance = Provenance("r", "2026-01-01T00:00:00Z", ("x",), configuration)
+Run(provenance, Path(sys.argv[1]), progress=expire, log=lambda: b"").record()
 '''
 
 

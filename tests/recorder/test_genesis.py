@@ -132,15 +132,14 @@ def test_an_overflow_makes_a_run_invalid(tmp_path: Path) -> None:
     """Record a run whose buffer is too small as INVALID, for the reason BUFFER."""
     from gpusimbench.recorder.run.run import Run
     from gpusimbench.schemas.configuration import RunConfiguration
+    from gpusimbench.schemas.provenance import Provenance
 
     configuration = RunConfiguration(
         simulator="genesis", scene="inclined-collision", n_env=2, dt=0.01, steps=12, warmup=0, timed_steps=1, seed=0,
         options={"device": "cpu", "max_contacts": "40"}, determinism="default", phases=("capture",),
     )  # fmt: skip
-    outcome = Run(
-        configuration, tmp_path / "run.mcap", run_id="1", argv=(), created="2026-01-01T00:00:00Z",
-        progress=lambda phase, done, of: None, log=lambda: b"",
-    ).record()  # fmt: skip
+    provenance = Provenance("1", "2026-01-01T00:00:00Z", (), configuration)
+    outcome = Run(provenance, tmp_path / "run.mcap", progress=lambda phase, done, of: None, log=lambda: b"").record()
     assert (outcome.status, outcome.cause) == ("INVALID", "BUFFER")
     assert "max_contacts 40 per env" in outcome.reason
     assert "RigidSolver's option 'max_contacts'" in outcome.reason

@@ -28,6 +28,7 @@ from gpusimbench.recorder import interruption
 from gpusimbench.recorder.run.run import Run
 from gpusimbench.schemas import digest
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.provenance import Provenance
 
 kind, path = sys.argv[1], Path(sys.argv[2])
 original, calls = getattr(digest.ContentDigest, kind), []
@@ -41,8 +42,8 @@ def interrupting(self, *arguments):
 setattr(digest.ContentDigest, kind, interrupting)
 interruption.install()
 configuration = RunConfiguration("mujoco", "inclined-collision", 70, 0.01, 200, phases=("capture",))
-outcome = Run(configuration, path, run_id="r", argv=(), created="2026-01-01T00:00:00Z",
-              progress=lambda *_: None, log=lambda: b"").record()
+provenance = Provenance("r", "2026-01-01T00:00:00Z", (), configuration)
+outcome = Run(provenance, path, progress=lambda *_: None, log=lambda: b"").record()
 print(outcome.status, outcome.reason)
 '''
 

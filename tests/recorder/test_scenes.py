@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gpusimbench.recorder.command.arguments import parser
-from gpusimbench.recorder.command.command import check_configuration
+from gpusimbench.recorder.command.configure import check_configuration
 from gpusimbench.recorder.scenes.base import Box, Plane, Sphere
 from gpusimbench.recorder.scenes.emit.mjcf import deviations, emit_mjcf
 from gpusimbench.recorder.scenes.free_fall import DROP_HEIGHT

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.sets.finished import Finished, locked, matching, read_folder
-from gpusimbench.recorder.sets.sweep import CERTAIN, Outcome, Place, Sweep, parse_points
+from gpusimbench.recorder.sets.sweep import CERTAIN, Outcome, Sweep, SweepRun, parse_points
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.configuration import MAX_ENVS, RunConfiguration
 from gpusimbench.schemas.errors import GsbError, UsageError
@@ -153,16 +153,16 @@ _outcomes = st.one_of(
 
 
 @st.composite
-def _sweeps(draw: st.DrawFn) -> tuple[Sweep, dict[Place, Outcome]]:
+def _sweeps(draw: st.DrawFn) -> tuple[Sweep, dict[SweepRun, Outcome]]:
     # a sweep, and how each of its runs would end
     points = parse_points(f"1..{1 << draw(st.integers(0, 4))}")
     runs = draw(st.integers(1, 3))
-    places = [Place(n_env, index) for n_env in points for index in range(runs)]
+    places = [SweepRun(n_env, index) for n_env in points for index in range(runs)]
     good = draw(st.sets(st.sampled_from(places)))
     return Sweep(points, runs), {p: Outcome("complete") if p in good else draw(_outcomes) for p in places}
 
 
-def _follow(sweep: Sweep, ends: dict[Place, Outcome], known: dict[Place, Outcome]) -> list[Place]:
+def _follow(sweep: Sweep, ends: dict[SweepRun, Outcome], known: dict[SweepRun, Outcome]) -> list[SweepRun]:
     made = []
     while places := sweep.next_places(known):
         place = places[0]
@@ -173,10 +173,10 @@ def _follow(sweep: Sweep, ends: dict[Place, Outcome], known: dict[Place, Outcome
 
 
 @given(_sweeps())
-def test_a_sweep_from_its_beginning(case: tuple[Sweep, dict[Place, Outcome]]) -> None:
+def test_a_sweep_from_its_beginning(case: tuple[Sweep, dict[SweepRun, Outcome]]) -> None:
     """Make runs in order, up to the first number at which none is complete, and leave out none that could be."""
     sweep, ends = case
-    known: dict[Place, Outcome] = {}
+    known: dict[SweepRun, Outcome] = {}
     made = _follow(sweep, ends, known)
     assert made == sorted(made)
     reached = sweep.reached(known)
@@ -186,23 +186,23 @@ def test_a_sweep_from_its_beginning(case: tuple[Sweep, dict[Place, Outcome]]) ->
     assert sweep.n_env_max(known) == max(sustained, default=None)
     for n_env in reached:
         count = sum(place.n_env == n_env for place in made)
-        first = ends[Place(n_env, 0)]
+        first = ends[SweepRun(n_env, 0)]
         certain = not first.good and first.cause in CERTAIN
         assert count == (1 if certain else sweep.runs)
         assert sweep.cut_short(n_env, known) == sweep.runs - count
     if reached[-1] in sustained:
         assert sweep.stopped(known) == f"{sweep.points[-1]} is the end of the sweep"
     else:
-        assert sweep.stopped(known) == f"failed at {reached[-1]}: {ends[Place(reached[-1], 0)].reason}"
+        assert sweep.stopped(known) == f"failed at {reached[-1]}: {ends[SweepRun(reached[-1], 0)].reason}"
     below = sweep.failed_below_the_last(known)
     assert sum(below.values()) == sum(not known[place].good for place in made if place.n_env != reached[-1])
 
 
 @given(_sweeps(), st.data())
-def test_a_sweep_that_goes_on(case: tuple[Sweep, dict[Place, Outcome]], data: st.DataObject) -> None:
+def test_a_sweep_that_goes_on(case: tuple[Sweep, dict[SweepRun, Outcome]], data: st.DataObject) -> None:
     """Come to the same end from any part of what was made, making just what is lacking."""
     sweep, ends = case
-    whole: dict[Place, Outcome] = {}
+    whole: dict[SweepRun, Outcome] = {}
     made = _follow(sweep, ends, whole)
     there = data.draw(st.sets(st.sampled_from(made)))
     known = {place: ends[place] for place in there}
@@ -211,7 +211,9 @@ def test_a_sweep_that_goes_on(case: tuple[Sweep, dict[Place, Outcome]], data: st
 
 
 @given(_sweeps(), st.data())
-def test_what_lies_beyond_the_end_does_not_count(case: tuple[Sweep, dict[Place, Outcome]], data: st.DataObject) -> None:
+def test_what_lies_beyond_the_end_does_not_count(
+    case: tuple[Sweep, dict[SweepRun, Outcome]], data: st.DataObject
+) -> None:
     """End at the first number that fails, also where runs of larger ones were found."""
     sweep, ends = case
     known = {place: ends[place] for place in data.draw(st.sets(st.sampled_from(sorted(ends))))}
@@ -228,7 +230,7 @@ def _finished(outcome: Outcome, name: str = "a", **changes: object) -> Finished:
     return Finished(Path(name), replace(_WANTED, **changes), outcome)  # type: ignore[arg-type]
 
 
-def _places(found: Iterable[Finished], **wanted: object) -> dict[Place, str]:
+def _places(found: Iterable[Finished], **wanted: object) -> dict[SweepRun, str]:
     matched = matching(found, replace(_WANTED, **wanted))  # type: ignore[arg-type]
     return {place: run.path.name for place, run in matched.items()}
 
@@ -254,7 +256,7 @@ def _places(found: Iterable[Finished], **wanted: object) -> dict[Place, str]:
 def test_which_runs_are_the_same(changes: dict[str, object], same: bool) -> None:
     """Take for a run of the sweep what was asked the same, however it was stored."""
     found = _finished(Outcome("complete"), n_env=64, run_index=3, **changes)
-    assert _places([found]) == ({Place(64, 3): "a"} if same else {})
+    assert _places([found]) == ({SweepRun(64, 3): "a"} if same else {})
 
 
 @pytest.mark.parametrize(
@@ -286,7 +288,7 @@ def test_runs_of_another_machine_are_others() -> None:
 def test_a_complete_run_goes_first() -> None:
     """Prefer a complete run to another in the same place."""
     complete, failed = _finished(Outcome("complete"), "good"), _finished(Outcome("failed", "ENGINE"), "bad")
-    assert _places([complete, failed]) == _places([failed, complete]) == {Place(1, 0): "good"}
+    assert _places([complete, failed]) == _places([failed, complete]) == {SweepRun(1, 0): "good"}
 
 
 # Real runs

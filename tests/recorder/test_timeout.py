@@ -184,6 +184,7 @@ from pathlib import Path
 from gpusimbench.recorder.run.run import Run
 from gpusimbench.schemas import digest
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.provenance import Provenance
 
 original, calls = digest.ContentDigest.state, []
 
@@ -195,8 +196,8 @@ def slow(self, *arguments):
 
 digest.ContentDigest.state = slow
 configuration = RunConfiguration("mujoco", "free-fall", 70, 0.01, 200, phases=("capture",), timeout=3)
-outcome = Run(configuration, Path(sys.argv[1]), run_id="r", argv=(), created="2026-01-01T00:00:00Z",
-              progress=lambda *_: None, log=lambda: b"").record()
+provenance = Provenance("r", "2026-01-01T00:00:00Z", (), configuration)
+outcome = Run(provenance, Path(sys.argv[1]), progress=lambda *_: None, log=lambda: b"").record()
 print(outcome.status, outcome.cause, outcome.reason)
 '''
 

@@ -24,6 +24,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture import ranges, sink, states, work_child, work_process
 from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.state_work import StateStream
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
@@ -507,12 +508,12 @@ def test_one_of_several_processes_cannot_be_started(process: pytest.MonkeyPatch)
         return fork()
 
     process.setattr(os, "fork", forked)
-    task = work_child.Task(FIELDS, 100, 50, 0.1, 1, frozenset(), 0)
+    stream = StateStream(FIELDS, 100, 50, 0.1, 1, frozenset(), 0)
     memory = os.memfd_create("states")
     ours, theirs = connection.Pipe()
     before = psutil.Process().children()
     with ours, theirs, pytest.raises(BlockingIOError):
-        work_child._Sharing(task, work_child.Shared(memory, task), ranges.Ranges(100), theirs)
+        work_child._Sharing(stream, work_child.Shared(memory, stream), ranges.Ranges(100), theirs)
     os.close(memory)
     assert not answers
     assert psutil.Process().children() == before

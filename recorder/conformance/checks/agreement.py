@@ -12,7 +12,7 @@ from gpusimbench.recorder.conformance.scene import N_STEP
 from gpusimbench.recorder.conformance.subject import Subject
 from gpusimbench.recorder.conformance.verdict import NotApplicable, fail
 from gpusimbench.recorder.simulators.base import Description, Evidence, Simulator, States
-from gpusimbench.recorder.simulators.flight import BLOCK_STEPS, NEVER, Kind, Watch, failure
+from gpusimbench.recorder.simulators.flight import BLOCK_STEPS, NEVER, FailureKind, Watch, failure
 
 
 def step_and_states_agree(subject: Subject) -> None:
@@ -64,7 +64,7 @@ def flights_hold_the_captured_states(subject: Subject) -> None:
     watch = replace(free, within=float(np.max(far, axis=0)[N_STEP // 2]))
     beyond = [watch.beyond(f, array).any(axis=(2, 3)) for f, array in zip(watch.fields, trajectory.states, strict=True)]
     left = np.any(beyond, axis=0)  # [step, env]
-    expected = [failure(int(own.argmax()), Kind.OUT_OF_BOUNDS) if own.any() else NEVER for own in left.T]
+    expected = [failure(int(own.argmax()), FailureKind.OUT_OF_BOUNDS) if own.any() else NEVER for own in left.T]
     with subject.built(trajectory.scene) as (simulator, _):
         simulator.compile("capture")
         flight = simulator.flight(watch)

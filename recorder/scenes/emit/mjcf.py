@@ -65,6 +65,17 @@ def _pins(robot: Robot) -> list[tuple[str, str, Vector]]:
 
 
 def _add_robot(root: ET.Element, world: ET.Element, robot: Robot, stiff: Mapping[str, str]) -> None:
+    _add_links(world, robot)
+    contact = ET.SubElement(root, "contact")
+    for one, other in robot.apart:
+        ET.SubElement(contact, "exclude", {"body1": one, "body2": other})
+    if pins := [pin for pin, _, _ in _pins(robot)]:
+        joined = {"name": "pin", "site1": pins[0], "site2": pins[1], **stiff}
+        ET.SubElement(ET.SubElement(root, "equality"), "connect", joined)
+    _add_actuators(root, robot)
+
+
+def _add_links(world: ET.Element, robot: Robot) -> None:
     friction = _numbers((robot.material.kinetic_friction, _TORSIONAL, _ROLLING))
     parents = {"": world}
     for link in robot.links:
@@ -101,12 +112,9 @@ def _add_robot(root: ET.Element, world: ET.Element, robot: Robot, stiff: Mapping
         for pin, of, at in _pins(robot):
             if of == link.name:
                 ET.SubElement(element, "site", {"name": pin, "pos": _numbers(at)})
-    contact = ET.SubElement(root, "contact")
-    for one, other in robot.apart:
-        ET.SubElement(contact, "exclude", {"body1": one, "body2": other})
-    if pins := [pin for pin, _, _ in _pins(robot)]:
-        joined = {"name": "pin", "site1": pins[0], "site2": pins[1], **stiff}
-        ET.SubElement(ET.SubElement(root, "equality"), "connect", joined)
+
+
+def _add_actuators(root: ET.Element, robot: Robot) -> None:
     actuator = ET.SubElement(root, "actuator")
     for joint in robot.joints():
         ET.SubElement(

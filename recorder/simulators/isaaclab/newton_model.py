@@ -25,7 +25,7 @@ from gpusimbench.recorder.simulators.newton.mujoco_terms import (
     joint_name,
     single_joints,
 )
-from gpusimbench.recorder.simulators.physx.held_parameters import Held, imported_of
+from gpusimbench.recorder.simulators.physx.held_parameters import HeldParameters, imported_of
 from gpusimbench.recorder.simulators.physx.model import Model
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
 from gpusimbench.recorder.simulators.physx.stage import emit_model
@@ -173,7 +173,7 @@ class NewtonModel(Model):
         for link in self._added_links():
             (number,) = [b for b in range(made.nbody) if made.body(b).name.endswith(link.prim)]
             masses[link.prim] = float(made.body_mass[number])
-        found = imported_of(self.plan, Held(quantities, masses), dt=dt)
+        found = imported_of(self.plan, HeldParameters(quantities, masses), dt=dt)
         unread = {key: why for key, why in found.unread.items() if key not in found.values}
         return replace(found, unread={key: _COMPARED if "PhysX" in why else why for key, why in unread.items()})
 

@@ -51,7 +51,7 @@ _BLOCK = 10  # steps that are asked for at once
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrialPlan:
     """What is to be tried.
 
     poses     for the kinematics, states [pose, ...] of the model's fields
@@ -68,7 +68,7 @@ class Plan:
     controls: NDArray[np.float64]
 
 
-def plan(scene: ModelScene, *, dt: float, seed: int) -> Plan:
+def plan(scene: ModelScene, *, dt: float, seed: int) -> TrialPlan:
     """What is to be tried with a model.
 
     Every hinge and slide of a drawn pose is within its limits, or within +-pi rad or +-1 m of its reference; balls and
@@ -97,7 +97,7 @@ def plan(scene: ModelScene, *, dt: float, seed: int) -> Plan:
         else:
             actuator = trial - 1 - model.nv
             controls[trial, actuator] = _control(model, actuator)
-    return Plan(
+    return TrialPlan(
         _states(compiled, poses, np.zeros((N_POSE, model.nv))),
         _states(compiled, np.tile(start, (len(kinds), 1)), speeds),
         tuple(kinds),

@@ -42,7 +42,7 @@ _OFF = (
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldParameters:
     """What PhysX holds, the first environment.
 
     quantities  as of as_mujoco_has_it: rows of all bodies but the world, and of all joints that are not
@@ -67,7 +67,7 @@ class Source(Protocol):
         MuJoCo has them, beside each environment's origin."""
 
 
-def held_parameters(plan: Plan, servos: dict[int, Servo], source: Source) -> Held:
+def held_parameters(plan: Plan, servos: dict[int, Servo], source: Source) -> HeldParameters:
     """Read it from the engine's tensors."""
     model = plan.model
     found = {name: array.copy() for name, array in as_mujoco_has_it(model).items()}
@@ -104,10 +104,12 @@ def held_parameters(plan: Plan, servos: dict[int, Servo], source: Source) -> Hel
             found["joints.damping"][row] = tensors["DAMPING"][2][number] - servo.kv - servo.hold
     for name in ("joints.anchor", "joints.axis", "joints.spring_reference"):
         del found[name]
-    return Held(found, added)
+    return HeldParameters(found, added)
 
 
-def deviations_of_model(plan: Plan, known: Held, options: PhysxOptions, *, file: str, gpu: bool) -> list[Deviation]:
+def deviations_of_model(
+    plan: Plan, known: HeldParameters, options: PhysxOptions, *, file: str, gpu: bool
+) -> list[Deviation]:
     """What PhysX has otherwise than MuJoCo compiles a model file: the engine's numbers compared with MuJoCo's, and what
     is not the same by the nature of the engine."""
     model = plan.model
@@ -129,7 +131,7 @@ def deviations_of_model(plan: Plan, known: Held, options: PhysxOptions, *, file:
     return found
 
 
-def _of_added(known: Held, plan: Plan, file: str) -> Iterator[Deviation]:
+def _of_added(known: HeldParameters, plan: Plan, file: str) -> Iterator[Deviation]:
     if known.added:
         several = [plan.model.body(b).name or f"body{b}" for b in np.flatnonzero(plan.model.body_jntnum > 1)]
         yield Deviation(
@@ -233,7 +235,7 @@ def _of_the_rest(model: Any) -> Iterator[Deviation]:
         yield Deviation("bodies.massless", few(massless, _NAMED), "nearly so", "a link of PhysX has a mass")
 
 
-def imported_of(plan: Plan, known: Held, *, dt: float) -> Imported:
+def imported_of(plan: Plan, known: HeldParameters, *, dt: float) -> Imported:
     """The parameters that PhysX holds, by MuJoCo's names."""
     model = plan.model
     reference = of_mujoco.of_c(model)

@@ -17,7 +17,7 @@ from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import own_options
 from gpusimbench.recorder.simulators.physx.articulations import Articulations
 from gpusimbench.recorder.simulators.physx.held_parameters import (
-    Held,
+    HeldParameters,
     Source,
     deviations_of_model,
     held_parameters,
@@ -96,5 +96,5 @@ class Model:
     def _added(self) -> Sequence[str]:
         return list(self._held().added)
 
-    def _held(self) -> Held:
+    def _held(self) -> HeldParameters:
         return held_parameters(self.plan, self.driven.servos, self._source)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.captured import States
-from gpusimbench.recorder.simulators.flight import NEVER, RING_STEPS, Flight, Kind, Watch
+from gpusimbench.recorder.simulators.flight import NEVER, RING_STEPS, FailureKind, Flight, Watch
 
 
 class WarpFlight(Flight):
@@ -86,7 +86,8 @@ class WarpFlight(Flight):
             kernels.hold,
             dim=(n_env, n_qpos + data.qvel.shape[1] + 1),
             inputs=[
-                self._step, data.qpos, data.qvel, data.overflow, self._bounded, self._within, self._fatal, len(Kind),
+                self._step, data.qpos, data.qvel, data.overflow, self._bounded, self._within, self._fatal,
+                len(FailureKind),
             ],
             outputs=[self._held["qpos"], self._held["qvel"], self._bits, self._failures],
         )  # fmt: skip
