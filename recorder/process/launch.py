@@ -20,11 +20,11 @@ from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.interruption import ENDING, MARK, SIGNALS, blocked
 from gpusimbench.recorder.plan import partial_of, release
 from gpusimbench.recorder.process.cage import Cage, Guard
-from gpusimbench.recorder.process.scratch import OUTPUT, making, scratch_folder
 from gpusimbench.recorder.run.pace import BETWEEN
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.provenance import ReplayOf
+from gpusimbench.schemas.scratch import OUTPUT, making, scratch_folder
 from gpusimbench.schemas.writing import create, write_file
 
 Progress = Callable[[str, int, int], None]
