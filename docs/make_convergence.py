@@ -129,7 +129,7 @@ def rows(folder: Path, earlier: Sequence[str] = ()) -> Iterator[str]:
             yield f"| {engine.scene} | {label} | | | | | {refused.read_text(encoding='utf-8').strip()} |"
             continue
         found = evaluate_files(files, sample_time=SECONDS[engine.scene]).convergences if files else ()
-        yield from [row(one, label, engine) for one in found] or kept.get((engine.scene, label), ())
+        yield from [row(one, label, engine) for one in found] or kept.get((engine.scene, label), [])
 
 
 def table(folder: Path, earlier: str = "") -> str:
