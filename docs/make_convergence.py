@@ -2,8 +2,8 @@
 
 usage: python docs/make_convergence.py FOLDER [SIMULATOR...]
 
-What FOLDER has already is not recorded again; with names of simulators, no others are. An engine that is not installed
-has no row; an engine that refuses a scene has a row with its reason.
+What FOLDER has already is not recorded again; with names of simulators, no others are. An engine without recordings in
+FOLDER keeps the row that the page has of it; an engine that refuses a scene has a row with its reason.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from page_blocks import redraw
+from page_blocks import block, redraw
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.report.sections.convergence import NOT_ASYMPTOTIC, said, said_locally, why_none
@@ -50,6 +50,12 @@ class Engine:
         """Of its recording at a step [s]."""
         given = (option.replace("=", "-").strip("-") for option in self.options)
         return "-".join([self.scene, self.simulator, *given, f"{dt:g}"])
+
+    @property
+    def label(self) -> str:
+        """As rows name it."""
+        options = " ".join(option for option in self.options if option != "--option").replace("--", "")
+        return f"{self.simulator}{f' [{options}]' if options else ''}"
 
 
 ENGINES: tuple[Engine, ...] = (
@@ -109,24 +115,28 @@ def record(folder: Path, chosen: Sequence[str]) -> None:
             refused.unlink(missing_ok=True)
 
 
-def rows(folder: Path) -> Iterator[str]:
-    """A row for each engine and scene that was recorded, or that refused."""
+def rows(folder: Path, earlier: Sequence[str] = ()) -> Iterator[str]:
+    """A row for each engine and scene that was recorded, or that refused; of all others the earlier row, if any."""
+    kept: dict[tuple[str, str], list[str]] = {}
+    for line in earlier:
+        where, label = (cell.strip() for cell in line.split("|")[1:3])
+        kept.setdefault((where.partition(",")[0], label), []).append(line)
     for engine in ENGINES:
         files = [path for dt in STEPS for path in sorted((folder / engine.folder(dt)).glob("*.mcap"))]
         refused = folder / f"{engine.folder(0)}.txt"
-        options = " ".join(option for option in engine.options if option != "--option").replace("--", "")
-        label = f"{engine.simulator}{f' [{options}]' if options else ''}"
+        label = engine.label
         if refused.exists():
             yield f"| {engine.scene} | {label} | | | | | {refused.read_text(encoding='utf-8').strip()} |"
             continue
-        for one in evaluate_files(files, sample_time=SECONDS[engine.scene]).convergences if files else ():
-            yield row(one, label, engine)
+        found = evaluate_files(files, sample_time=SECONDS[engine.scene]).convergences if files else ()
+        yield from [row(one, label, engine) for one in found] or kept.get((engine.scene, label), [])
 
 
-def table(folder: Path) -> str:
-    """All rows below their heads."""
+def table(folder: Path, earlier: str = "") -> str:
+    """All rows below their heads; `earlier` is the table that it replaces."""
     head = "| scene | engine | error by step | order [95 %] | of the method | local orders | |"
-    return "\n".join([head, "| --- | --- | --- | --- | --- | --- | --- |", *rows(folder)])
+    shown = rows(folder, earlier.strip().splitlines()[2:])
+    return "\n".join([head, "| --- | --- | --- | --- | --- | --- | --- |", *shown])
 
 
 def row(one: Convergence, label: str, engine: Engine) -> str:
@@ -147,7 +157,8 @@ def main() -> None:
         raise SystemExit(__doc__)
     folder = Path(sys.argv[1]).resolve()
     record(folder, sys.argv[2:])
-    redraw(PAGE, {"convergence": table(folder)})
+    earlier = block(PAGE.read_text(encoding="utf-8"), "convergence")
+    redraw(PAGE, {"convergence": table(folder, earlier)})
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@ docs/physics/engines.md: which engine keeps which law at which step, and how the
 
 usage: python docs/make_laws.py FOLDER [SIMULATOR|SCENE...]
 
-What FOLDER has already is not recorded again. An engine that is not installed, or does not take a scene, has no row;
-with names of simulators or scenes, no others are recorded.
+What FOLDER has already is not recorded again; with names of simulators or scenes, no others are recorded. An engine
+without recordings in FOLDER keeps the rows that the page has of it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from page_blocks import redraw
+from page_blocks import block, redraw
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.results.canonical import Law, laws
@@ -41,6 +41,7 @@ SHOWN = {"free-body": "middle_", "ball-drop": r"\w+_(restitution|gain)"}
 """Of the laws of a scene, those whose keys match; all of the others."""
 ENVS, SPREAD = 16, 0.8
 HOPS = "highest hop of the level block"
+_HEAD = 3  # lines of a table before its first engine
 _TIME = 900  # for one recording [s]
 
 _RUNS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
@@ -140,8 +141,7 @@ def rows(folder: Path, scene: str) -> Iterator[Row]:
                 if not recording.usable or recording.simulation is None:
                     continue
                 facts = PhysicsFacts(scene, ENVS, ((0, ENVS - 1),), {}, laws=laws_of(recording))
-                said = " ".join(option for option in options if option != "--option").replace("--", "")
-                engine = f"{simulator} {recording.simulation.version}"
+                engine = labelled(f"{simulator} {recording.simulation.version}", options)
                 hop = None
                 if scene == "sliding-block":
                     level = recording.state("cubes", "position").field.items.index("level")
@@ -151,7 +151,33 @@ def rows(folder: Path, scene: str) -> Iterator[Row]:
                     law.key: law for law in laws("", [facts])
                     if isinstance(law, Law) and re.match(SHOWN.get(scene, ""), law.key)
                 }  # fmt: skip
-                yield Row(f"{engine}, {said}" if said else engine, dt, measured, hop)
+                yield Row(engine, dt, measured, hop)
+
+
+def labelled(engine: str, options: Sequence[str]) -> str:
+    """An engine with its options, as rows name it."""
+    said = " ".join(option for option in options if option != "--option").replace("--", "")
+    return f"{engine}, {said}" if said else engine
+
+
+def with_earlier(scene: str, shown: str, earlier: str) -> str:
+    """The table of a scene with the earlier rows of engines that it has no row of, in the order of the runs.
+
+    SystemExit where earlier rows have other columns.
+    """
+    order = [labelled(simulator, options) for of, simulator, options in _RUNS if of == scene]
+    new, old = shown.strip().splitlines(), earlier.strip().splitlines()
+    measured = {_without_version(line) for line in new[_HEAD:]}
+    kept = [line for line in old[_HEAD:] if _without_version(line) in {*order} - measured]
+    if kept and new[0] != old[0]:
+        names = ", ".join(dict.fromkeys(map(_without_version, kept)))
+        raise SystemExit(f"the table of {scene} would have other columns than the page has: record these too: {names}")
+    ordered = sorted([*new[_HEAD:], *kept], key=lambda line: order.index(_without_version(line)))
+    return "\n".join([*new[:_HEAD], *ordered])
+
+
+def _without_version(line: str) -> str:
+    return re.sub(r"^(\S+) [^\s,]+", r"\1", line.split("|")[1].strip())
 
 
 def table(found: Sequence[Row]) -> str:
@@ -197,7 +223,10 @@ def main() -> None:
         raise SystemExit(__doc__)
     folder = Path(sys.argv[1]).resolve()
     record(folder, sys.argv[2:])
-    redraw(PAGE, {f"laws of {scene}": table(found) for scene in SECONDS if (found := list(rows(folder, scene)))})
+    page = PAGE.read_text(encoding="utf-8")
+    shown = {scene: table(found) for scene in SECONDS if (found := list(rows(folder, scene)))}
+    named = {f"laws of {scene}": scene for scene in shown}
+    redraw(PAGE, {name: with_earlier(scene, shown[scene], block(page, name)) for name, scene in named.items()})
 
 
 if __name__ == "__main__":

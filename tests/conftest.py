@@ -21,7 +21,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 from gpusimbench.recorder.capture import work_process
-from gpusimbench.recorder.process.scratch import scratch_folder
+from gpusimbench.schemas.scratch import scratch_folder
 from tests.browser import Browser
 from tests.in_process import in_process
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import GsbError, Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place
+from gpusimbench.schemas.scratch import empty_folder
 from gpusimbench.schemas.writing import write_pieces
 
 _NAMED = 6
@@ -104,14 +105,14 @@ def fetched(location: Location, *, size: int | None = None) -> Iterator[Path]:
     source = RemoteFile(location)
     if size is not None and source.size != size:
         raise Unreachable(f"{location} has {source.size} bytes, not {size}")
-    with tempfile.TemporaryDirectory(prefix="gpusimbench-", ignore_cleanup_errors=True) as folder:
+    with empty_folder() as folder:
         free = shutil.disk_usage(folder).free
         if source.size > free:
             raise Unreachable(
-                f"{location} has {source.size} bytes, and {Path(folder).parent}, where it would be checked, has room "
+                f"{location} has {source.size} bytes, and {tempfile.gettempdir()}, where it would be checked, has room "
                 f"for {free}: set TMPDIR to a folder with more"
             )
-        copy = Path(folder, "copy.mcap")
+        copy = folder / "copy.mcap"
         try:
             write_pieces(copy, source.pieces())
         except OSError as error:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Cell, Column, Tone
 from gpusimbench.evaluator.render.numbers import distance, figure, interval
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.results.canonical import Law
+from gpusimbench.evaluator.results.canonical import Law, Unmeasured
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.fidelity import CheckVerdict
@@ -21,12 +22,13 @@ from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_LOCAL_POSITION, TOSS_POSITION, TOSS_ROTATION
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
-from gpusimbench.schemas.text import cut, plural
+from gpusimbench.schemas.text import cut, few, plural
 from gpusimbench.schemas.treatment import Intervention
 
 Results = Sequence[GroupResult]
 
 _DEFAULT = "default"
+_UNMEASURED = 3  # laws that a note names
 NOT_COMPARED = "not compared"
 """The answer where nothing could be compared."""
 
@@ -74,14 +76,36 @@ def judged(result: GroupResult) -> list[Law]:
 
 
 def kept(results: Results) -> Cell:
-    """Whether the laws in closed form hold."""
+    """Whether the laws in closed form hold; the notes say of how many, and what was not measured in which groups."""
     found = [law for result in results for law in judged(result)]
     if not found:
         return Cell(NOT_COMPARED, tone=Tone.QUIET)
     broken = sum(not law.held for law in found)
+    left = (*_unjudged(results), *_unmeasured(results))
+    laws = plural(sum(isinstance(law, Law) or bool(law.key) for result in results for law in result.laws), "law")
     if broken:
-        return Cell("no", notes=(f"{broken} of {plural(len(found), 'law')} broken",), tone=Tone.BAD, link="canonical")
-    return Cell("yes", notes=(f"all {plural(len(found), 'law')}",), tone=Tone.GOOD, link="canonical")
+        return Cell("no", notes=(f"{broken} of {laws} broken", *left), tone=Tone.BAD, link="canonical")
+    held = f"{len(found)} of {laws}" if left else f"all {laws}"
+    return Cell("yes", notes=(held, *left), tone=Tone.WARNING if left else Tone.GOOD, link="canonical")
+
+
+def _unjudged(results: Results) -> Iterator[str]:
+    if number := sum(isinstance(law, Law) and law.held is None for result in results for law in result.laws):
+        yield f"{number} without a verdict"
+
+
+def _unmeasured(results: Results) -> Iterator[str]:
+    """The laws that could not be measured, each with the number of groups of its scene where that is so."""
+    groups = Counter(r.group.key.scene for r in results)
+    missing = Counter(
+        title for r in results for title in {(law.scene, law.title) for law in r.laws if isinstance(law, Unmeasured)}
+    )
+    said = [
+        title if number == groups[scene] else f"{title} in {number} of {plural(groups[scene], 'group')}"
+        for (scene, title), number in missing.items()
+    ]
+    if said:
+        yield f"not measured: {few(said, _UNMEASURED, by='; ')}"
 
 
 def repeats(results: Results) -> Cell:

@@ -30,10 +30,10 @@ from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.software import describe_software
 from gpusimbench.recorder.process.launch import Interruptions, make
 from gpusimbench.recorder.process.planned_run import PlannedRun
-from gpusimbench.recorder.process.scratch import OUTPUT, scratch_folder
 from gpusimbench.recorder.sets.finished import where_am_i
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.scratch import OUTPUT, scratch_folder
 
 _READ = (".py", ".binpb")
 

@@ -17,11 +17,11 @@ from gpusimbench.recorder.environments.choice import interpreter_for
 from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.options import split_options
 from gpusimbench.recorder.output import show, show_document
-from gpusimbench.recorder.process.scratch import scratch_folder
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.scratch import scratch_folder
 from gpusimbench.schemas.text import line
 
 _EPILOG = """\

@@ -324,7 +324,7 @@ class Subject:
         from gpusimbench.recorder.environments.interpreter import own
         from gpusimbench.recorder.process.launch import Interruptions, make
         from gpusimbench.recorder.process.planned_run import PlannedRun, provenance_now
-        from gpusimbench.recorder.process.scratch import scratch_folder
+        from gpusimbench.schemas.scratch import scratch_folder
 
         if not self.scenes:
             raise NotApplicable("the adapter has not the abilities that any built-in scene needs")

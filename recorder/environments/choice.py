@@ -7,11 +7,11 @@ from pathlib import Path
 
 from gpusimbench.recorder.environments.interpreter import RECORDING, Interpreter, at, own
 from gpusimbench.recorder.environments.store import find
-from gpusimbench.recorder.process.scratch import scratch_folder
 from gpusimbench.recorder.scenes.registry import SCENES
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.simulators.registry import BUILT_IN, Entry
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.scratch import scratch_folder
 
 _KNOWS = """
 import sys

@@ -15,8 +15,8 @@ from typing import Any
 
 from gpusimbench import schemas
 from gpusimbench.recorder.probes.software import describe_software
-from gpusimbench.recorder.process.scratch import scratch_folder
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.scratch import scratch_folder
 
 RECORDING = ("google.protobuf", "lz4", "mcap", "numpy", "psutil", "zstandard")
 """Import names that a run needs whatever its engine is."""

@@ -21,10 +21,10 @@ from gpusimbench.recorder.interruption import ENDING, MARK, SIGNALS, blocked
 from gpusimbench.recorder.plan import partial_of, release, reserve
 from gpusimbench.recorder.process.cage import Guard
 from gpusimbench.recorder.process.planned_run import PlannedRun
-from gpusimbench.recorder.process.scratch import OUTPUT, making, scratch_folder
 from gpusimbench.recorder.run.pace import BETWEEN, Report
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError
+from gpusimbench.schemas.scratch import OUTPUT, making, scratch_folder
 from gpusimbench.schemas.writing import create, write_file
 
 GRACE_S = 30.0

@@ -11,11 +11,9 @@ everything else from the files. State is laid out in MuJoCo's order of bodies an
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +25,7 @@ from gpusimbench.schemas.action_generator import Controls, JointTargets
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.model_files import unpack
+from gpusimbench.schemas.scratch import empty_folder
 from gpusimbench.schemas.treatment import FromFile
 
 BODIES, JOINTS, BALLS = "bodies", "joints", "balls"
@@ -119,8 +118,8 @@ def compiled(archive: bytes, numerics: Mapping[str, str] | None = None) -> tuple
     """
     import mujoco
 
-    with tempfile.TemporaryDirectory(prefix="gsb-model-") as folder:
-        main = unpack(archive, Path(folder))
+    with empty_folder() as folder:
+        main = unpack(archive, folder)
         mujoco.set_mju_user_warning(lambda said: None)  # MuJoCo would write it to a file in the present folder
         try:
             if not numerics:
@@ -136,7 +135,7 @@ def compiled(archive: bytes, numerics: Mapping[str, str] | None = None) -> tuple
                     spec.add_numeric(name=name, data=data, size=size)
             return main.name, spec.compile()
         except (ValueError, mujoco.FatalError) as error:
-            said = " ".join(str(error).replace(folder, "").split())
+            said = " ".join(str(error).replace(str(folder), "").split())
             raise UsageError(f"MuJoCo {mujoco.__version__} does not compile {main.name}: {said}") from None
         finally:
             mujoco.set_mju_user_warning(None)

@@ -20,11 +20,11 @@ from gpusimbench.evaluator.metrics.physics.closed_form import pendulum_period, s
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
-from gpusimbench.evaluator.render.document import Table
+from gpusimbench.evaluator.render.document import Table, Tone
 from gpusimbench.evaluator.report.sections.canonical import change
 from gpusimbench.evaluator.report.sections.overview import overview
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.report.verdicts import for_probe
+from gpusimbench.evaluator.report.verdicts import for_probe, kept
 from gpusimbench.evaluator.results.canonical import Law, Unmeasured, breaking_move, laws, showing_move
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.faults import faults_anywhere
@@ -139,6 +139,25 @@ def test_laws_stand_on_the_first_screen(recorded: dict[str, Path]) -> None:
     laws_of_both = sum(len(result.laws) for result in evaluation.results)
     broken = sum(not law.held for result in evaluation.results for law in result.laws if isinstance(law, Law))
     assert (cell.text, cell.notes) == ("no", (f"{broken} of {laws_of_both} laws broken",))
+
+
+def test_laws_that_were_not_measured_stand_beside_those_that_hold(recorded: dict[str, Path], tmp_path: Path) -> None:
+    """Say of how many laws a yes is, and what was not measured in which groups; "all" where every law was measured."""
+    asked = (*_COMMON, "--scene", "pendulum", "--steps", 20)
+    short = call("gsb-record", *asked, "--dt", "0.02", "--out", tmp_path / "a", code=0).stdout.split()[0]
+    asked = (*asked, "--scene", "double-pendulum", "--vary", "mass:0.1")
+    varied = call("gsb-record", *asked, "--out", tmp_path / "b", code=0).stdout.split()[0]
+    results = evaluate_files([recorded["pendulum"], Path(short), Path(varied)]).results
+    whole, *_ = (result for result in results if all(isinstance(law, Law) for law in result.laws))
+    assert (kept([whole]).text, kept([whole]).notes) == ("yes", ("all 2 laws",))
+    cell = kept(results)
+    assert (cell.text, cell.tone) == ("yes", Tone.WARNING)
+    held, missing = cell.notes
+    laws = [law for result in results for law in result.laws]
+    n, of = sum(isinstance(law, Law) for law in laws), sum(isinstance(law, Law) or bool(law.key) for law in laws)
+    assert held == f"{n} of {of} laws" and n < of
+    assert missing.startswith("not measured: ") and "period of the pendulum in 1 of 2 groups" in missing
+    assert "all laws of double-pendulum" in missing and "double-pendulum in" not in missing
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.statistics.convergence import Order, fit_order
 from tests.conftest import recorded
-from tests.scripts import script
+from tests.scripts import drawn, script
 
 _STEPS = np.array([0.04, 0.02, 0.01, 0.005])
 
@@ -174,6 +174,19 @@ def test_a_step_that_misses_the_time_is_left_out(pendulums: list[Path]) -> None:
     assert isinstance(one.found, Missing)
     assert any("0.04 s: 0.98 s is no whole number of steps" in why for why in one.left_out)
     assert evaluate_files(euler[:3], sample_time=1.0).convergences == ()
+
+
+def test_engines_that_were_not_measured_anew_keep_their_rows(tmp_path: Path) -> None:
+    """Draw the page as it is where nothing was recorded, and the new row of an engine that refuses by now."""
+    make = script("make_convergence")
+    shown = drawn(make.PAGE, "convergence").strip()
+    assert make.table(tmp_path, shown) == shown
+    engine = next(one for one in make.ENGINES if one.simulator == "genesis" and one.scene == "pendulum")
+    (tmp_path / f"{engine.folder(0)}.txt").write_text("no limit\n", encoding="utf-8")
+    before, after = shown.splitlines(), make.table(tmp_path, shown).splitlines()
+    (row,) = set(after) - set(before)
+    assert row == f"| pendulum | {engine.label} | | | | | no limit |"
+    assert len(after) == len(before) and len(set(before) - set(after)) == 1
 
 
 @pytest.mark.slow

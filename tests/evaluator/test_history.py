@@ -84,10 +84,10 @@ def test_a_version_that_is_slower(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert change["ci95"][0] < 1 / 1.2 < change["ci95"][1]
     assert 0 < change["p_value"] < 0.001
     assert (change["previous"], change["exact"]) == (5, False)
-    assert [point["value"] > 0 and point["ci95"] is not None for point in curve(document, "fps")["points"]] == [
+    assert [point["value"] > 0 and point["ci95"] is not None for point in curve(document, "fps")["samples"]] == [
         True
     ] * 10
-    assert document["configurations"][0]["points"][6]["version"] == "6.0"
+    assert document["configurations"][0]["groups"][6]["version"] == "6.0"
     assert document["verdict"] == "1 regression over 10 points; none at the newest, v9"
 
 
@@ -177,7 +177,7 @@ def test_a_point_without_a_value_says_why(tmp_path: Path, capsys: pytest.Capture
     for index in range(3):
         write_point(tmp_path, index, host_bytes=None if index == 1 else (10**8, 2 * 10**8))
     _, document = history(tmp_path, capsys=capsys)
-    told = [(p["value"], p["value_missing"]) for p in curve(document, "host_memory_peak_increment")["points"]]
+    told = [(p["value"], p["value_missing"]) for p in curve(document, "host_memory_peak_increment")["samples"]]
     assert told == [
         (100.0, ""),
         (None, "the timed phase was left out, or no memory was sampled in it"),
@@ -249,7 +249,7 @@ def test_devices_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[
     folder = copied(tmp_path, [[AMD[0]], [AMD[1]], [AMD[2]], XEON])
     code, document = history(folder, capsys=capsys)
     assert (code, changes(document)) == (0, [])
-    assert [len(one["points"]) for one in document["configurations"]] == [3, 1]
+    assert [len(one["groups"]) for one in document["configurations"]] == [3, 1]
     assert len({one["device"] for one in document["configurations"]}) == 2
     (note,) = document["notes"]
     assert "device changed: the curve is split" in note
@@ -282,7 +282,7 @@ def test_another_scene_is_another_curve(tmp_path: Path, capsys: pytest.CaptureFi
         point.mkdir()
         write_recording(point, None, change=change)
     _, document = history(tmp_path, capsys=capsys)
-    assert [len(one["points"]) for one in document["configurations"]] == [2, 2]
+    assert [len(one["groups"]) for one in document["configurations"]] == [2, 2]
     assert any("machine or scene changed: the curve is split" in note for note in document["notes"])
 
 

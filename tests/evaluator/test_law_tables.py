@@ -96,6 +96,20 @@ def test_the_page_has_the_tables_of_the_scripts() -> None:
         assert {row[0].split()[0] for row in cells[3:]} >= engines
 
 
+def test_engines_that_were_not_measured_anew_keep_their_rows() -> None:
+    """Draw the page as it is where one engine alone was measured again; refuse where the columns are others."""
+    laws = script("make_laws")
+    for scene in laws.SECONDS:
+        shown = drawn(laws.PAGE, f"laws of {scene}").strip()
+        head, rows = shown.splitlines()[:3], shown.splitlines()[3:]
+        engines = list(dict.fromkeys(line.split("|")[1] for line in rows))
+        again = "\n".join([*head, *(line for line in rows if line.split("|")[1] == engines[1])])
+        assert laws.with_earlier(scene, again, shown) == shown
+        other = again.replace("| engine |", "| engine | new law |", 1)
+        with pytest.raises(SystemExit, match="record these too: "):
+            laws.with_earlier(scene, other, shown)
+
+
 def test_a_change_is_that_of_the_named_lane_and_of_the_joint() -> None:
     """Change the friction of a block and of its plank, and of no other, and the damping of the named joints."""
     scene = make_scene("sliding-block")

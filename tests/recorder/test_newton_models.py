@@ -157,9 +157,7 @@ def test_a_robot_of_a_scene() -> None:
     for field, a, b, atol in zip(description.fields, states, others, (2e-5, 2e-3), strict=True):
         np.testing.assert_allclose(a, b, atol=atol, err_msg=field.name)
     assert (states[0][-1, 0] != states[0][-1, 1]).any()  # environments have targets of their own
-    assert {d.parameter for d in description.deviations if "Newton" in d.reason} == {
-        "option.disableflags", "contact.pairs"
-    }  # fmt: skip
+    assert {d.parameter for d in description.deviations if "Newton" in d.reason} == {"contact.pairs"}
     assert not any("autoreset" in remark for remark in description.remarks)
 
 
@@ -263,8 +261,59 @@ def test_its_controls(walker: tuple[Any, Any, Any, Any]) -> None:
 
 
 def test_what_it_has_otherwise(walker: tuple[Any, Any, Any, Any]) -> None:
-    """Say of the walker that nothing is lost but what SolverMuJoCo switches off."""
-    assert {d.parameter for d in walker[1].deviations} == {"option.disableflags"}
+    """Say of the walker that nothing is lost."""
+    assert not walker[1].deviations
+
+
+_SOFT = """
+<geom name="floor" type="plane" size="1 1 .1" conaffinity="2"/>
+<body name="upper" pos="0 0 1">
+  <joint name="soft" axis="0 1 0" limited="true" range="-30 30" solreflimit="0.05 1" solimplimit=".8 .9 .01 .5 2"/>
+  <geom type="sphere" size=".1" contype="4" conaffinity="4"/>
+  <body name="lower" pos="0 0 -.3">
+    <joint name="free" axis="0 1 0"/>
+    <geom name="tip" type="sphere" size=".1" contype="4" conaffinity="4"/>
+  </body>
+</body>
+"""
+
+
+@pytest.mark.parametrize("solver", FOR_MODELS)
+def test_soft_limits_and_pairs(solver: str, tmp_path: Path) -> None:
+    """Say which solvers have nothing for soft limits of joints and for pairs of geoms, whose masks say otherwise."""
+    pair = '<contact><pair geom1="floor" geom2="tip" friction=".3 .3 .01 .01 .01"/></contact>'
+    simulator, description = engines.build("newton", _scene(_written(tmp_path, _SOFT, pair)), n_env=2, solver=solver)
+    said = {d.parameter: (d.wanted, d.used) for d in description.deviations}
+    if solver == "mujoco":
+        limits = simulator._worlds.solver.mj_model.jnt_solref[0]
+        simulator.close()
+        assert not said
+        np.testing.assert_allclose(limits, (0.05, 1))
+        return
+    simulator.close()
+    assert said["contact.pairs"] == ("world and lower collide", "do not collide")
+    assert said["pairs"] == ("parameters of 1 pair of geoms", "parameters of the shapes")
+    used = "springs of ke 10000 and kd 10" if solver == "featherstone" else "hard"
+    assert said["joints.limit_solref"] == ("of each limited joint", used)
+
+
+def test_as_many_contacts_of_convex_shapes_as_mujoco(tmp_path: Path) -> None:
+    """Make all contacts of a mesh that lies on a box as MuJoCo does, and one where the file says so."""
+    corners = " ".join(f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1))
+    body = (
+        '<geom type="box" size="1 1 .1" pos="0 0 -.1"/>'
+        '<body pos="0 0 .0999"><freejoint/><geom type="mesh" mesh="cube" mass="1"/></body>'
+    )
+    found = []
+    for flag in ("", '<option><flag multiccd="disable"/></option>'):
+        rest = f'<asset><mesh name="cube" vertex="{corners}"/></asset>{flag}'
+        simulator, description = engines.build("newton", _scene(_written(tmp_path, body, rest)), n_env=1)
+        simulator.compile("capture")
+        simulator.states(1)
+        found.append(int(simulator.evidence().counts["contacts"][-1, 0]))
+        simulator.close()
+        assert not description.deviations
+    assert found == [4, 1]
 
 
 def test_its_states(walker: tuple[Any, Any, Any, Any]) -> None:
@@ -385,7 +434,7 @@ def test_other_solvers(solver: str, tmp_path: Path) -> None:
 
 def test_what_a_solver_does_not_read(tmp_path: Path) -> None:
     """Name damping, armature and dry friction of joints, and equalities, where a solver has none of them."""
-    from gpusimbench.recorder.simulators.newton.mujoco_terms import deviations_of_import
+    from gpusimbench.recorder.simulators.newton.import_deviations import deviations_of_import
 
     held = '<equality><joint name="held" joint1="hinge"/><weld body1="a"/></equality>'
     scene = _scene(_written(tmp_path, FALLING, held))

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.process import scratch
+from gpusimbench.schemas import scratch
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import ENGINE_LOG
@@ -118,6 +118,49 @@ def test_a_later_run_removes_what_killed_ones_left(tmp_path: Path, temporary: Pa
 
     wait_for(removed)  # the killed process may hold its lock for a moment
     assert list(temporary.glob("gsb-work-*")) == []
+
+
+_KEPT = """
+import os, signal
+from pathlib import Path
+from unittest import mock
+{imports}
+def killed(*given, **more):
+    os.kill(os.getpid(), signal.SIGKILL)
+with mock.patch({where!r}, killed):
+    {call}
+"""
+
+
+@pytest.mark.parametrize(
+    ("imports", "where", "call"),
+    [
+        ("from gpusimbench.recorder.scenes.model import compiled", "mujoco.MjModel.from_xml_path", "compiled(model)"),
+        (
+            "from gpusimbench.evaluator.read.addresses import fetched\nfrom gpusimbench.schemas.location import place",
+            "gpusimbench.evaluator.read.addresses.write_pieces", "fetched(place('memory://held.mcap')).__enter__()",
+        ),
+    ],
+    ids=["model", "copy"],
+)  # fmt: skip
+def test_what_a_killed_process_left_is_removed(
+    temporary: Path, tmp_path: Path, imports: str, where: str, call: str
+) -> None:
+    """Remove, with the next folder, that of a model's files or of a copy, whose process was killed while it used it."""
+    model = tmp_path / "robot.xml"
+    model.write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    given = (
+        "import fsspec; fsspec.filesystem('memory').pipe('held.mcap', b'x' * 9)\n"
+        f"from gpusimbench.schemas.model_files import pack\nmodel = pack(Path({str(model)!r}))\n{imports}"
+    )
+    program = _KEPT.format(imports=given, where=where, call=call)
+    done = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert len([*temporary.iterdir()]) == 1
+    with scratch.empty_folder() as folder:
+        assert [*temporary.iterdir()] == [folder.parent]
+        assert not [*folder.iterdir()]
+    assert not [*temporary.iterdir()]
 
 
 def test_a_folder_that_cannot_be_made(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:

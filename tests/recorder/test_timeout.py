@@ -68,6 +68,9 @@ _IMPATIENT = (
 )
 """gsb-record with less time between the timeout and the end of patience."""
 
+_TIMEOUT_S = 20
+"""Enough for a process to start and for a small run to end while other tests load the machine."""
+
 _SMALL = ("--steps", "5", "--warmup", "1", "--timed-steps", "2", "--phases", "timed")
 
 
@@ -212,13 +215,13 @@ def test_the_time_ends_within_a_write(tmp_path: Path) -> None:
 
 def test_an_engine_that_never_returns(endless: dict[str, str], tmp_path: Path) -> None:
     """Kill a run, and what it started, whose engine sits in native code; keep what it wrote, and end with 3."""
-    done = _impatient(endless, "--n-env", 1, "--runs", 1, "--timeout", 8, "--out", tmp_path)
+    done = _impatient(endless, "--n-env", 1, "--runs", 1, "--timeout", _TIMEOUT_S, "--out", tmp_path)
     assert done.returncode == 3, done.stderr
     (file,) = tmp_path.iterdir()
     assert file.suffix == ".partial"
     assert done.stdout.strip() == str(file)
     assert open_recording(file).status == "incomplete"
-    assert "did not end 1 s after its timeout of 8 s and was killed in phase init" in done.stderr
+    assert f"did not end 1 s after its timeout of {_TIMEOUT_S} s and was killed in phase init" in done.stderr
 
 
 def test_an_engine_that_never_lets_its_process_end(endless: dict[str, str], tmp_path: Path) -> None:
@@ -232,7 +235,7 @@ def test_an_engine_that_never_lets_its_process_end(endless: dict[str, str], tmp_
 def test_a_sweep_ends_at_a_run_that_never_returns(endless: dict[str, str], tmp_path: Path) -> None:
     """Record in its place that a run was killed, try it once, and again only when it gets more time."""
     sweep = ("--sweep", "1..8", "--runs", 2, "--option", "from_n_env=2", "--out", tmp_path)
-    done = _impatient(endless, *sweep, "--timeout", 8)
+    done = _impatient(endless, *sweep, "--timeout", _TIMEOUT_S)
     assert done.returncode == 0, done.stderr
     assert "2 envs: 1 of 2 runs are not made: they would fail as the first did" in done.stderr
     assert re.search(r"^N_env\^max 1: failed at 2: .*was killed in phase init", done.stderr, re.MULTILINE)
@@ -248,13 +251,13 @@ def test_a_sweep_ends_at_a_run_that_never_returns(endless: dict[str, str], tmp_p
     assert read_end(file).outcome.cause == "TIMEOUT"
 
     before = set(tmp_path.iterdir())
-    again = _impatient(endless, *sweep, "--timeout", 8)
+    again = _impatient(endless, *sweep, "--timeout", _TIMEOUT_S)
     assert again.returncode == 0, again.stderr
     assert set(tmp_path.iterdir()) == before
     assert "3 of 8 runs are in" in again.stderr
     assert again.stdout == ""
 
-    longer = _impatient(endless, *sweep, "--timeout", 9)
+    longer = _impatient(endless, *sweep, "--timeout", _TIMEOUT_S + 1)
     assert longer.returncode == 0, longer.stderr
     assert "2 of 8 runs are in" in longer.stderr
-    assert "its timeout of 9 s" in longer.stderr
+    assert f"its timeout of {_TIMEOUT_S + 1} s" in longer.stderr

@@ -55,7 +55,7 @@ def _configuration(one: Traced, history: History) -> dict[str, Any]:
         "label": one.series.label,
         **picked(one.series.key, "simulator scene n_env dt determinism"),
         "device": one.series.device,
-        "points": [
+        "groups": [
             {
                 "point": entry.point,
                 "version": entry.group.key.version,
@@ -79,7 +79,7 @@ def _curve(curve: Curve, history: History) -> dict[str, Any]:
         "exact": curve.exact,
         "smallest_visible": curve.visible,
         "changes_missing": curve.changes_missing,
-        "points": [_sample(sample) for sample in curve.samples],
+        "samples": [_sample(sample) for sample in curve.samples],
         "changes": [_shift(shift, curve, history) for shift in curve.shifts],
     }
 

@@ -70,7 +70,7 @@ def drives(model: Any, places: Places, engine: str, *, remedy: str, limited_serv
     nv, nu = places.count, model.nu
     unlimited = np.float32(np.inf)
     limited = {name: np.asarray(getattr(model, f"actuator_{name}limited"), dtype=bool) for name in ("ctrl", "force")}
-    if _has_flag(model, "CLAMPCTRL"):
+    if disabled(model, "CLAMPCTRL"):
         limited["ctrl"][:] = False
     ends = {
         (name, end): np.where(given, getattr(model, f"actuator_{name}range")[:, end], (2 * end - 1) * unlimited)
@@ -125,13 +125,14 @@ def _switched_off(model: Any, a: int) -> bool:
     """Whether an actuator makes no force, by a flag or its group."""
     group = int(model.actuator_group[a])
     of_group = 0 <= group <= _LAST_GROUP and model.opt.disableactuator >> group & 1
-    return _has_flag(model, "ACTUATION") or bool(of_group)
+    return disabled(model, "ACTUATION") or bool(of_group)
 
 
-def _has_flag(model: Any, disabled: str) -> bool:
+def disabled(model: Any, flag: str) -> bool:
+    """Whether a mujoco.MjModel disables what a flag, "GRAVITY", stands for."""
     import mujoco  # whose releases number the flags differently
 
-    return bool(model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{disabled}")))
+    return bool(model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
 
 
 def _arms(model: Any, places: Places, a: int) -> dict[int, float]:

@@ -32,6 +32,9 @@ from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.view.geometry import GEOMETRY, MEDIA_TYPE
 
+SCENE_FILE = "scene.xml"
+"""A registered scene as MJCF, by the name that it has in a recording."""
+
 KNOWS_AUTORESET = hasattr(mujoco.mjtDisableBit, "mjDSBL_AUTORESET")
 """Whether this release can be told not to reset a state that went bad; older ones always do, with a warning."""
 
@@ -63,7 +66,7 @@ class MjcfModel:
         of them beside these."""
         if isinstance(self.scene, ModelScene):
             return {GEOMETRY: (MEDIA_TYPE, geometry_of(self.model))}
-        return {"scene.xml": ("application/xml", self.xml.encode())}
+        return {SCENE_FILE: ("application/xml", self.xml.encode())}
 
     @property
     def deviations(self) -> tuple[Deviation, ...]:

@@ -3,7 +3,6 @@ and actuators are in the result."""
 
 from __future__ import annotations
 
-import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,10 +15,12 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model import ModelScene
+from gpusimbench.recorder.simulators.mujoco.drives import disabled
 from gpusimbench.recorder.simulators.mujoco.layout import Balls, FreeBodies, Joints, Part
-from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
+from gpusimbench.recorder.simulators.mujoco.model import SCENE_FILE, MjcfModel
 from gpusimbench.recorder.simulators.newton.layout import ModelLayout, NewtonBalls, NewtonFreeBodies, NewtonJoints
 from gpusimbench.schemas.model_files import unpack
+from gpusimbench.schemas.scratch import empty_folder
 from gpusimbench.schemas.writing import write_file
 
 _KINDS = {"FREE": (7, 6), "BALL": (4, 3)}  # numbers of a joint in joint_q and joint_qd
@@ -57,17 +58,17 @@ def import_mjcf(scene: Scene, compiled: MjcfModel, *, direct: bool, prepare: Cal
     """
     import newton
 
-    gravity_off = int(compiled.model.opt.disableflags) & _gravity_bit()
+    gravity_off = disabled(compiled.model, "GRAVITY")
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0) if gravity_off else scene.gravity)
     prepare(builder)
-    with tempfile.TemporaryDirectory(prefix="gsb-model-") as folder:
-        main = _placed(scene, compiled, Path(folder))
-        _as_it_reads(Path(folder))
+    with empty_folder() as folder:
+        main = _placed(scene, compiled, folder)
+        _as_it_reads(folder)
         try:
             # MuJoCo's equalities are MuJoCo's: as loop joints they would add coordinates that no recording has
             builder.add_mjcf(str(main), ctrl_direct=direct, convert_mjc_equality_constraints=False)
         except (ValueError, NotImplementedError, KeyError, IndexError, OSError, ImportError) as error:
-            said = " ".join(str(error).replace(folder, "").split())
+            said = " ".join(str(error).replace(str(folder), "").split())
             raise Refused(f"Newton's importer does not read {_file(scene)}: {type(error).__name__}: {said}") from None
     return _matched(_file(scene), compiled, builder)
 
@@ -83,13 +84,7 @@ def _placed(scene: Scene, compiled: MjcfModel, folder: Path) -> Path:
 
 
 def _file(scene: Scene) -> str:
-    return scene.file if isinstance(scene, ModelScene) else "scene.xml"  # as it is called in the recording
-
-
-def _gravity_bit() -> int:
-    import mujoco
-
-    return int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    return scene.file if isinstance(scene, ModelScene) else SCENE_FILE
 
 
 def _as_mjcf(urdf: Path) -> Path:

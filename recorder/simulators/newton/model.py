@@ -8,6 +8,7 @@ from typing import Any
 
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector, solid_inertia
 from gpusimbench.recorder.scenes.model import ModelScene
+from gpusimbench.recorder.simulators.mujoco.drives import disabled
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 from gpusimbench.recorder.simulators.newton.imported import Imported, import_mjcf
 from gpusimbench.recorder.simulators.newton.layout import BodyLayout, Layout
@@ -23,11 +24,13 @@ class World:
     builder   newton.ModelBuilder
     layout    where the fields of a recording are
     imported  None for scenes whose bodies are built one by one
+    multiccd  whether MuJoCo makes several contacts of two convex shapes, where else it would make one; None likewise
     """
 
     builder: Any
     layout: Layout
     imported: Imported | None = None
+    multiccd: bool | None = None
 
 
 def comes_as_mjcf(scene: Scene) -> bool:
@@ -56,7 +59,7 @@ def one_world(scene: Scene, compiled: MjcfModel, options: NewtonOptions, registe
         imported = import_mjcf(scene, compiled, direct=options.solver == "mujoco", prepare=prepare)
         if scene.robot is not None and options.solver != "mujoco":
             _give_materials(imported.builder, scene, options)
-        return World(imported.builder, imported.layout, imported)
+        return World(imported.builder, imported.layout, imported, multiccd=not disabled(compiled.model, "MULTICCD"))
     world = newton.ModelBuilder(gravity=scene.gravity)
     register(world)
     for body in scene.bodies:

@@ -1,4 +1,4 @@
-"""What Newton made of a model file, in the terms of MuJoCo's compiled model, and what of it is not as MuJoCo has it."""
+"""What Newton made of a model file, in the terms of MuJoCo's compiled model, and how the two are compared."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.model import choices, solver_options
+from gpusimbench.recorder.scenes.model import choices
 from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
@@ -29,26 +28,12 @@ UNREAD = {
 
 _UNLIMITED = 1e9  # beyond it, Newton's limits stand for none
 _RELATIVE, _ABSOLUTE = 5e-5, 1e-7  # of single precision, with which Newton computes all of this
-_SHOWN = 4  # items of a deviation
+SHOWN = 4
+"""Items that a deviation names."""
 
 _OF_MODEL = ("density", "viscosity", "wind", "gravity")
 _OF_SOLVER = ("iterations", "ls_iterations", "noslip_iterations", "tolerance", "impratio", "magnetic")
-_ACTUATOR = (
-    "trntype", "dyntype", "gaintype", "biastype", "gear", "gainprm", "biasprm", "dynprm", "ctrllimited", "ctrlrange",
-    "forcelimited", "forcerange", "actlimited", "actrange",
-)  # fmt: skip
 _GEOM = ("type", "size", "friction", "condim", "solref", "solimp", "margin", "gap", "priority")
-_WRAP = ("type", "prm")
-_TENDON = ("num", "stiffness", "damping", "frictionloss", "limited", "range")
-_EQUALITY = ("type", "data", "solref", "solimp", "active0")
-
-_KINDS = {"actuator": "actuators", "tendon": "tendons", "eq": "equalities"}
-_NAMES = {
-    "gaintype": "gain_type", "gainprm": "gain", "biastype": "bias_type", "biasprm": "bias", "dyntype": "dynamics_type",
-    "dynprm": "dynamics", "ctrlrange": "control_range", "forcerange": "force_range", "actrange": "activation_range",
-    "active0": "active",
-}  # fmt: skip
-"""Kinds and parameters of schemas.imported by the words of MjModel's arrays, where they are others."""
 
 
 def as_mujoco_has_it(model: Any) -> Quantities:
@@ -104,54 +89,6 @@ def as_newton_has_it(newton_model: Any, imported: Imported, model: Any, solver: 
     for name in UNREAD.get(solver, ()):
         found[f"joints.{name}"] = np.zeros_like(found[f"joints.{name}"])
     return {name: array.astype(np.float64) for name, array in found.items()}
-
-
-def deviations_of_import(
-    newton_model: Any, solver: Any, imported: Imported, model: Any, name: str, *, of_file: bool = True
-) -> list[Deviation]:
-    """Where a model in Newton is not as MuJoCo compiles it.
-
-    solver   that was made of newton_model
-    name     of the solver
-    of_file  the model is a file, which asks for MuJoCo's options and contact parameters; a registered scene does not
-    """
-    unread = UNREAD.get(name, ())
-    wanted, found = as_mujoco_has_it(model), as_newton_has_it(newton_model, imported, model, name)
-    items = {"bodies": body_names(model), "joints": [joint_name(model, j) for j in single_joints(model)]}
-    said: list[Deviation] = []
-    for quantity, array in wanted.items():
-        kind, _, what = quantity.partition(".")
-        reason = f"solver {name} has no {what}" if what in unread else "so Newton's importer makes it"
-        said += different(quantity, items[kind], (array, found[quantity]), reason)
-    if name == "mujoco":
-        return said + list(_of_mujoco(solver, imported, model))
-    return said + list(_not_of_others(model, name, of_file))
-
-
-def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviation]:
-    """What SolverMuJoCo's own mujoco.MjModel has otherwise, beyond bodies and joints. Refused where it lacks actuators:
-    their controls would move others."""
-    made = solver.mj_model
-    if made.nu != model.nu:
-        kept = {made.tendon(t).name for t in range(made.ntendon)}
-        lost = [name for name in (model.tendon(t).name for t in range(model.ntendon)) if name not in kept]
-        without = f", and lacks the tendons {', '.join(lost)}" if lost else ""
-        raise Refused(f"SolverMuJoCo makes {made.nu} of the model's {model.nu} actuators{without}")
-    reason = "so Newton's importer and SolverMuJoCo make it"
-    yield from different_options(model, made, reason)
-    actuators = [model.actuator(a).name or f"actuator{a}" for a in range(model.nu)]
-    yield from _table("actuator", _ACTUATOR, actuators, model, made, reason)
-    places = solver.mjc_jnt_to_newton_dof.numpy()[0]
-    targets = [_target(m, at) for m, at in ((model, imported.at_qd), (made, places))]
-    yield from different("actuators.target", actuators, [t[:, None] for t in targets], reason)
-    tendons = [model.tendon(t).name or f"tendon{t}" for t in range(model.ntendon)]
-    yield from _table("tendon", _TENDON, tendons, model, made, reason)
-    if model.nwrap == made.nwrap:
-        yield from _table("wrap", _WRAP, [str(w) for w in range(model.nwrap)], model, made, reason)
-    yield from _table(
-        "eq", _EQUALITY, [model.equality(e).name or f"{e}" for e in range(model.neq)], model, made, reason
-    )
-    yield from different_contacts(model, made, bodies_of_solver(solver, imported), reason)
 
 
 def bodies_of_solver(solver: Any, imported: Imported) -> NDArray[np.int64]:
@@ -224,59 +161,19 @@ def different_contacts(
             labels = [model.geom(g).name or f"geom{g}" for g in own[0]]
             yield from different(f"{names[body]}.{what}", labels, rows, reason)
     own_numbers = np.where(np.isin(np.arange(model.nbody), merged), 0, np.arange(model.nbody))
-    wanted, used = colliding_bodies(model, own_numbers), colliding_bodies(made, at)
+    yield from different_pairs(model, colliding_bodies(model, own_numbers), colliding_bodies(made, at), reason)
+
+
+def different_pairs(
+    model: Any, wanted: set[tuple[int, int]], used: set[tuple[int, int]], reason: str
+) -> Iterator[Deviation]:
+    """Pairs of bodies that touch in one of two models only."""
+    names = ["world", *body_names(model)]
     for pairs, word in ((wanted - used, "collide"), (used - wanted, "do not collide")):
         if pairs:
             listed = [f"{names[a]} and {names[b]}" for a, b in sorted(pairs)]
             opposite = "do not collide" if word == "collide" else "collide"
-            yield Deviation("contact.pairs", f"{few(listed, _SHOWN)} {word}", opposite, reason)
-
-
-def _not_of_others(model: Any, name: str, of_file: bool) -> Iterator[Deviation]:
-    """What solvers other than MuJoCo's have nothing for."""
-    if not of_file:
-        return  # no scene has any of the following
-    options = ", ".join(f"{key} {value}" for key, value in solver_options(model).items())
-    yield Deviation("option", options, f"those of solver {name}", "they are of MuJoCo's integrator and solver")
-    fluid = {key: getattr(model.opt, key) for key in ("density", "viscosity")}
-    for key, value in fluid.items():
-        if value:
-            yield Deviation(f"model.{key}", f"{value:g}", "0", f"solver {name} has no forces of a medium")
-    for t in range(model.ntendon):
-        words = ("stiffness", "damping", "frictionloss", "limited")
-        if has := [w for w in words if np.any(getattr(model, f"tendon_{w}")[t])]:
-            label = model.tendon(t).name or f"tendon{t}"
-            yield Deviation(f"{label}.{has[0]}", "of a tendon", "none", f"solver {name} has no tendons")
-    for e in range(model.neq):
-        kind = mujoco.mjtEq(model.eq_type[e]).name.removeprefix("mjEQ_").lower()
-        label = model.equality(e).name or f"equality{e}"
-        yield Deviation(label, f"constraint of equality, {kind}", "none", f"solver {name} is given none of MuJoCo's")
-    if np.any(model.body_gravcomp):
-        yield Deviation(
-            "bodies.gravity_compensation",
-            few(body_names(model), _SHOWN),
-            "0",
-            f"solver {name} has no compensation of gravity",
-        )
-    if np.any(model.jnt_actfrclimited):
-        yield Deviation("joints.force_range", "limited", "unlimited", f"solver {name} does not limit drives")
-    yield Deviation(
-        "geoms.solref", "of each geom", "ke and kd of each shape, where the solver has them",
-        f"solver {name} has contacts of its own: no solimp, condim, margin or priority",
-    )  # fmt: skip
-
-
-def _table(
-    kind: str, names: tuple[str, ...], items: list[str], model: Any, made: Any, reason: str
-) -> Iterator[Deviation]:
-    wanted, used = (len(getattr(m, f"{kind}_{names[0]}")) for m in (model, made))
-    if wanted != used:
-        yield Deviation(f"{_KINDS.get(kind, kind)}.count", str(wanted), str(used), reason)
-    if wanted != used or not wanted:
-        return
-    for name in names:
-        rows = [np.asarray(getattr(m, f"{kind}_{name}"), dtype=float).reshape(wanted, -1) for m in (model, made)]
-        yield from different(f"{_KINDS.get(kind, kind)}.{_NAMES.get(name, name)}", items, rows, reason)
+            yield Deviation("contact.pairs", f"{few(listed, SHOWN)} {word}", opposite, reason)
 
 
 def different(parameter: str, items: list[str], arrays: Sequence[NDArray[Any]], reason: str) -> Iterator[Deviation]:
@@ -296,7 +193,7 @@ def different(parameter: str, items: list[str], arrays: Sequence[NDArray[Any]], 
             [f"{items[row]} {' '.join(f'{x:.6g}' for x in array[row])}".strip() for row in rows]
             for array in (wanted, used)
         ]
-        yield Deviation(parameter, few(texts[0], _SHOWN), few(texts[1], _SHOWN), reason)
+        yield Deviation(parameter, few(texts[0], SHOWN), few(texts[1], SHOWN), reason)
 
 
 def single_joints(model: Any) -> NDArray[np.int64]:
@@ -333,12 +230,6 @@ def _rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
     return matrix.reshape(3, 3)
 
 
-def _target(model: Any, at_qd: NDArray[np.int64]) -> NDArray[np.float64]:
-    of_joints = np.isin(model.actuator_trntype, [mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT])
-    targets = np.where(of_joints, model.actuator_trnid[:, 0], 0)
-    return np.where(of_joints, at_qd[targets] if len(at_qd) else 0, -1).astype(float)
-
-
 def _colliding(model: Any, body: int) -> list[int]:
     return [g for g in range(model.ngeom) if model.geom_bodyid[g] == body and collides(model, g)]
 
@@ -362,8 +253,9 @@ def _sizes(model: Any, geoms: list[int]) -> NDArray[np.float64]:
     return sizes
 
 
-def colliding_bodies(model: Any, at: NDArray[np.int64]) -> set[tuple[int, int]]:
-    """Pairs of bodies, by their numbers in `at`, that may touch as MuJoCo decides it."""
+def colliding_bodies(model: Any, at: NDArray[np.int64] | None = None) -> set[tuple[int, int]]:
+    """Pairs of bodies, by their numbers in `at` if that is given, that may touch as MuJoCo decides it."""
+    at = np.arange(model.nbody) if at is None else at
     excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
     parents_apart = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     found: set[tuple[int, int]] = set()

@@ -156,7 +156,7 @@ class Newton(Slotted):
 
     def _deviations(self) -> tuple[Deviation, ...]:
         from gpusimbench.recorder.simulators.newton.deviations import deviations
-        from gpusimbench.recorder.simulators.newton.mujoco_terms import deviations_of_import
+        from gpusimbench.recorder.simulators.newton.import_deviations import deviations_of_import
 
         known = deviations(self.scene, self.options)
         if self._world.imported is None:

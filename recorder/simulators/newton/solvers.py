@@ -43,11 +43,20 @@ def register(options: NewtonOptions) -> Callable[[Any], None]:
     return add
 
 
-def make_solver(model: Any, options: NewtonOptions, physics: MjcfOptions | None, sizes: Sizes, mode: Any) -> Any:
+def make_solver(
+    model: Any,
+    options: NewtonOptions,
+    physics: MjcfOptions | None,
+    sizes: Sizes,
+    mode: Any,
+    *,
+    multiccd: bool | None = None,
+) -> Any:
     """The solver that the options ask for.
 
-    physics  options of MuJoCo's physics that the MJCF asks for; None of scenes that do not come as MJCF
-    mode     warp.DeterministicMode; the engine raises ValueError where the solver does not have it
+    physics   options of MuJoCo's physics that the MJCF asks for; None of scenes that do not come as MJCF
+    mode      warp.DeterministicMode; the engine raises ValueError where the solver does not have it
+    multiccd  of the MJCF, as of World; None for the default of SolverMuJoCo, which is not that of MJCF
     """
     from newton import solvers
 
@@ -63,6 +72,7 @@ def make_solver(model: Any, options: NewtonOptions, physics: MjcfOptions | None,
                 njmax=sizes.rows,
                 nconmax=sizes.contacts,
                 cone=options.cone,
+                enable_multiccd=multiccd,
                 solver=options.mujoco_solver.lower(),
                 use_mujoco_contacts=options.use_mujoco_contacts,
                 kinematic_switchable_roots=False,  # nothing becomes kinematic

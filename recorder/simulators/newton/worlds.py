@@ -138,7 +138,7 @@ class Worlds:
         self.layout = world.layout
         self.model = build_model(world, n_env=n_env, options=options, register=register(options))
         self.model.rigid_contact_max = n_env * sizes.contacts  # before any solver sizes its own buffers by it
-        self.solver = make_solver(self.model, options, physics, sizes, mode)
+        self.solver = make_solver(self.model, options, physics, sizes, mode, multiccd=world.multiccd)
         self.pipeline: Any = None
         self.contacts: Any = None
         if options.own_contacts:  # what it would print of its buffers is watched and recorded

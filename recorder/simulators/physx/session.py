@@ -6,11 +6,9 @@ from __future__ import annotations
 import logging
 import math
 import re
-import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +19,7 @@ from gpusimbench.recorder.scenes.emit.usd import env_path
 from gpusimbench.recorder.simulators.physx import libraries
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.scratch import empty_folder
 from gpusimbench.schemas.writing import write_pieces
 
 _LOGGER = "gpusimbench.recorder.simulators.physx"
@@ -136,8 +135,8 @@ class Session:
         import ovstage
 
         self._stage = ovstage.Stage("recorder")
-        with tempfile.TemporaryDirectory(prefix="gsb-usd-") as folder:
-            path = Path(folder) / "scene.usda"
+        with empty_folder() as folder:
+            path = folder / "scene.usda"
             write_pieces(path, [usd.encode()])
             domains = ovstage.PopulationDomain.ALL
             ovstage.population.open_usd(self._stage, str(path), ordinal=_ORDINAL, domains=domains)

@@ -54,6 +54,16 @@ def scratch_folder() -> Iterator[tuple[Path, FileIO]]:
 
 
 @contextmanager
+def empty_folder() -> Iterator[Path]:
+    """A new empty folder, for files of any name, within one as of scratch_folder; GsbError as there."""
+    with scratch_folder() as (folder, _):
+        inside = folder / "files"
+        with making():
+            inside.mkdir()
+        yield inside
+
+
+@contextmanager
 def making() -> Iterator[None]:
     """GsbError where temporary files cannot be made."""
     try:
