@@ -136,8 +136,17 @@ def write_action_stream(
     sink.write(topics.action_stream(phase), message.SerializeToString())
     if applied is None or same:
         return None
-    wrong = int(np.count_nonzero((applied != rows[1]).any(axis=1))) if applied.shape == rows[1].shape else n_env
-    return f"the engine's actions of step {first_step + n_step - 1} are not those it was given, in {wrong} envs"
+    last = first_step + n_step - 1
+    said = f"the engine's actions of step {last} are not those it was given, in "
+    if applied.shape != rows[1].shape:
+        return f"{said}{n_env} envs"
+    said += f"{int(np.count_nonzero((applied != rows[1]).any(axis=1)))} envs"
+    before = actions.draw(seed, n_env=n_env, first_step=last - 1, n_step=1, streams=streams)[0] if last else None
+    if before is not None and np.array_equal(applied, before):
+        return f"{said}: they are those of the step before"
+    if any(np.array_equal(applied, np.roll(rows[1], by, axis=0)) for by in (1, -1)):
+        return f"{said}: they are those of the neighbouring environments"
+    return said
 
 
 def _sha256(array: NDArray[np.float32]) -> str:
