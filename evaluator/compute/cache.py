@@ -267,16 +267,22 @@ def _sealed(key: str, document: bytes | memoryview) -> bytes:
     return digest.digest()
 
 
+def sources() -> Iterator[tuple[str, Path]]:
+    """The files of this project that decide what is computed, each with its name in the package."""
+    root = Path(__file__).resolve().parents[2]
+    for folder in _FOLDERS:
+        for path in sorted(p for kind in _KINDS for p in (root / folder).rglob(kind)):
+            yield path.relative_to(root).as_posix(), path
+
+
 @cache
 def code_version() -> str:
     """SHA-256 [hex] of this project's own evaluating code, of the versions of what it computes with, and of the kind of
     machine.
     """
     digest = hashlib.sha256()
-    root = Path(__file__).resolve().parents[3]
-    for folder in _FOLDERS:
-        for path in sorted(p for kind in _KINDS for p in (root / folder).rglob(kind)):
-            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    for name, path in sources():
+        digest.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
     digest.update(f"{sys.version} {platform.machine()}\0".encode())
     for package in _PACKAGES:
         digest.update(f"{package}={version_of(package)}\0".encode())

@@ -133,8 +133,10 @@ def _trajectories(found: Difference) -> str:
 
 def reached(growth: Growth) -> list[str]:
     """When the largest distance is 1 mm, and 1 cm."""
+    # a body that fell off may lie further from the same body elsewhere
+    never = "never reached on the board" if growth.fallen and growth.max_not_fallen else "never reached"
     return [
-        f"{size} {'never reached' if when is None else f'reached by {when:g} s'}"
+        f"{size} {never if when is None else f'reached by {when:g} s'}"
         for size, when in (("1 mm", growth.to_1mm), ("1 cm", growth.to_1cm))
     ]
 

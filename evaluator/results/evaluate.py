@@ -39,6 +39,7 @@ from gpusimbench.evaluator.results.validity import validity_of
 from gpusimbench.evaluator.runs import memory
 from gpusimbench.evaluator.runs.groups import Group, group, status_notes
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
+from gpusimbench.evaluator.runs.physics.facts import Check
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.toss_motion import (
     errors_of,
@@ -343,6 +344,14 @@ def _warnings(result: GroupResult) -> list[str]:
     fps = result.metrics["fps"]
     if not isinstance(fps.value, Missing) and (speeds := fps.of(Throughput).speeds):
         notes.append(speeds.note(fps.value))
+    changed = result.metrics["capture_changes_states"]
+    if not isinstance(changed.value, Missing) and changed.value:
+        notes.append(
+            f"timed and captured states differ at the same step in {changed.value:.0f} of {plural(changed.n, 'run')}, "
+            "though the runs repeat themselves: either the timed steps did other work than the captured ones, so that "
+            "the throughput is not that of these states, or capturing changes the states"
+        )
+    notes += next((row.notes for row in result.fidelity.rows if row.check is Check.FINITE), ())
     if any(len(applied.sha256) > 1 for applied in result.validity.actions):
         notes.append("the runs were given different actions, so they differ by design")
     return notes

@@ -99,7 +99,24 @@ def write_applied(
     journal.sink.write(topic, message.SerializeToString())
     if applied is not None and not same:
         wrong = int(np.count_nonzero((applied != last).any(axis=1))) if applied.shape == last.shape else n_env
-        journal.gate(f"the engine's actions of step {last_step} are not those it was given, in {wrong} envs")
+        before = (
+            actions.draw(seed, n_env=n_env, first_step=last_step - 1, n_step=1, streams=streams)[0]
+            if last_step
+            else None
+        )
+        journal.gate(
+            f"the engine's actions of step {last_step} are not those it was given, in {wrong} envs"
+            f"{_taken_from(applied, last, before)}"
+        )
+
+
+def _taken_from(applied: NDArray[np.float32], given: NDArray[np.float32], before: NDArray[np.float32] | None) -> str:
+    """Whose actions were applied in place of those given, [env, action] all, where they are another's."""
+    if before is not None and np.array_equal(applied, before):
+        return ": they are those of the step before"
+    if any(np.array_equal(applied, np.roll(given, by, axis=0)) for by in (1, -1)):
+        return ": they are those of the neighbouring environments"
+    return ""
 
 
 def _sha256(array: NDArray[np.float32]) -> str:

@@ -8,6 +8,9 @@ may have fewer.
 Windows: a pause of the system is a large part of a short timed phase. Where the timed steps take less than a second,
 environments are brought back to their initial states, make the warm-up again, and the same steps are timed once more,
 until the windows together take a second. What is counted and hashed is of the first window; gates are asked after all.
+
+A step that returns before the device is done would be timed as fast as work is queued. The first reading of the state
+has to wait for such work: how much longer it takes than a reading with no work to wait for is held against the clocks.
 """
 
 from __future__ import annotations
@@ -39,6 +42,11 @@ LEAST_STEPS = 100
 _PATIENCE = 30
 """Windows are timed again for at most so many times ENOUGH_S by the clock, initial states and warm-ups included."""
 
+LATE_S = 0.5
+LATE_SHARE = 0.5
+"""Work that goes on behind the last clocks of the windows makes a run INVALID where it takes longer than both: the time
+[s], and this share of the time of the windows. A pause of the system while a state is read is shorter."""
+
 _SAMPLED = "memory is sampled from another thread at 100 Hz, clock rates from another at 5 Hz"
 
 
@@ -64,7 +72,10 @@ def warm_up_and_time(
         progress("warmup", 0, warmup)
         gc.collect()  # takes a good part of a second with some engines, so not before each window
         clocks = _step(simulator, warmup, interval)
+        simulator.state()  # waits for the warm-up, and compiles what reading a state needs
+        reading = time.perf_counter()
         begun = simulator.state()
+        late = _Late(time.perf_counter() - reading)
         hashes = [fingerprint(begun)]
         sampling.checkpoint("post-warmup")
     journal.timing("warmup", clocks, 0, interval, covers)
@@ -75,7 +86,7 @@ def warm_up_and_time(
     with Phase(journal, sampling, "timed"):
         progress("timed", 0, steps)  # and not again before the last step: throughput counts what lies between
         clocks = _step(simulator, steps, interval)
-        state = simulator.state()
+        state = late.state(simulator, clocks, journal)
         hashes.append(fingerprint(state))
         journal.timing("timed", clocks, warmup, interval, covers)
         # Two hashes at steps that the capture may pass as well: equal ones show that capturing changed nothing.
@@ -90,10 +101,34 @@ def warm_up_and_time(
             if evidence := simulator.evidence():
                 for fired in counted.overflowed(evidence, first_step=warmup + steps):
                     journal.gate(fired, "BUFFER")
-            _ask_finite(journal, simulator.state(), configuration)
+            _ask_finite(journal, late.state(simulator, again, journal), configuration)
             journal.ask_gates(simulator)
             if journal.fired:
                 break  # the run is INVALID, whatever else is timed
+
+
+class _Late:
+    """Work of the timed steps that went on behind the last clocks of their windows.
+
+    reading_s  time that reading the state takes where there is nothing to wait for [s]
+    """
+
+    def __init__(self, reading_s: float) -> None:
+        self._reading_s = reading_s
+        self._late_s = self._timed_s = 0.0
+
+    def state(self, simulator: Simulator, clocks: NDArray[np.int64], journal: Journal) -> States:
+        """The present state, read directly behind a window with these clocks; a gate fires where too much is late."""
+        begun = time.perf_counter()
+        state = simulator.state()
+        self._late_s += max(0.0, time.perf_counter() - begun - self._reading_s)
+        self._timed_s += _seconds(clocks)
+        if self._late_s > max(LATE_S, LATE_SHARE * self._timed_s):
+            journal.gate(
+                f"the device went on for {self._late_s:.3g} s after {self._timed_s:.3g} s of timed steps: step() "
+                "returns before the device is done, so the clocks do not cover the work; synchronise in step()"
+            )
+        return state
 
 
 def _timed_again(

@@ -20,7 +20,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.compute import cache as store_module
-from gpusimbench.evaluator.compute.cache import Store, classes_of, decode, default_folder, encode
+from gpusimbench.evaluator.compute.cache import (
+    Store,
+    classes_of,
+    code_version,
+    decode,
+    default_folder,
+    encode,
+    sources,
+)
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs import reader
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all
@@ -223,6 +231,19 @@ def test_other_code_finds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert store.get(store.key(double, 1.0), float) == 2.0
     monkeypatch.setattr(store_module, "code_version", lambda: "another")
     assert store.get(store.key(double, 1.0), float) is None
+
+
+def test_a_line_of_the_code_is_another_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Digest the files that results follow from: those of the package, and each with what stands in it."""
+    assert {"evaluator/compute/cache.py", "evaluator/metrics/memory.py", "schemas/topics.py"} <= dict(sources()).keys()
+    beside = tmp_path / "evaluator" / "compute" / "cache.py"
+    beside.parent.mkdir(parents=True)
+    monkeypatch.setattr(store_module, "__file__", str(beside))
+    versions = set()
+    for text in ("value = 1\n", "value = 2\n"):
+        beside.write_text(text)
+        versions.add(code_version.__wrapped__())
+    assert len(versions) == 2
 
 
 def test_what_was_used_longest_ago_goes_first(tmp_path: Path) -> None:

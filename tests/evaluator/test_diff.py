@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.cli.diff import main as diff_command
+from gpusimbench.evaluator.diff.brief import reached
 from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
 from gpusimbench.evaluator.diff.numbers import Pairing
@@ -385,6 +386,7 @@ def test_bodies_that_fell_off_are_in_no_growth(tmp_path: Path) -> None:
     assert growth
     assert growth.fit
     assert (growth.fallen, growth.fit.rate, growth.to_1mm) == (2, pytest.approx(9.0, rel=1e-4), None)
+    assert reached(growth) == ["1 mm never reached on the board", "1 cm never reached on the board"]
     assert growth.max_spatial[60] == pytest.approx(0.8e-3, rel=1e-4)
     assert growth.largest[60] == growth.max_not_fallen[60] == pytest.approx(1e-8 * np.exp(9), rel=1e-4)
 

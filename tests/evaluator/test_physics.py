@@ -12,6 +12,7 @@ import pytest
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts, Revision
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 from gpusimbench.evaluator.runs.physics.states import MOST_ENVS, Walk, drawn_envs
@@ -355,6 +356,15 @@ def test_a_jump_without_velocity_breaks(tmp_path: Path) -> None:
     facts = facts_of(write_motion(tmp_path, "inclined-collision", motion))
     assert broken(facts) == {Check.DISPLACEMENT}
     assert measured(facts, Check.DISPLACEMENT).most == pytest.approx(5e-3)
+
+
+def test_an_orientation_that_is_no_unit_quaternion_is_told(tmp_path: Path, roll: Motion) -> None:
+    """Name the first of them, which no check of mechanics notices, in the facts and in a note of gsb-eval."""
+    roll["orientation"][20, 1, 0] *= 1.01
+    path = write_motion(tmp_path, "inclined-collision", roll)
+    said = "orientations are not unit quaternions: the first has length 1.01 (ball at step 20, environment 1)"
+    assert measured(facts_of(path), Check.FINITE).note == said
+    assert said in evaluate_files([path]).results[0].notes
 
 
 def test_sliding_shows_the_coefficient(tmp_path: Path) -> None:

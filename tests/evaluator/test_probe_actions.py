@@ -22,14 +22,17 @@ USUAL, SHIFTED = ("--initial", "random:0.1"), ("--initial", "random:0.1,shift:1"
 RESET = (*USUAL, "--intervene", f"reset@{AT}")
 
 # The engine gives every slot its own actions, whatever it was given; PLANTED is "slots", or "silent" where it does not
-# tell which actions it holds.
+# tell which actions it holds. With "late", each step has the actions of the step before.
 _PLUGIN = """
 import os
+import numpy as np
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 
 class Planted(MujocoC):
     def prepare(self, actions):
-        if os.environ.get("PLANTED") and actions is not None:
+        if os.environ.get("PLANTED") == "late" and len(actions) > 1:
+            actions = np.concatenate([actions[:1], actions[:-1]])
+        elif os.environ.get("PLANTED") and actions is not None:
             actions = self.scene.actions.draw(
                 self.seed, n_env=self.n_env, first_step=self._made, n_step=len(actions)
             )
@@ -52,7 +55,7 @@ def _recorded(folder: Path, environment: dict[str, str], *arguments: str, plante
         "gsb-record", "--sim", "planted", "--scene", "franka", "--n-env", N_ENV, "--steps", STEPS, "--runs", 1,
         "--phases", "capture", "--no-view", *arguments, "--out", folder, env={**environment, "PLANTED": planted},
     )  # fmt: skip
-    assert done.returncode == (1 if planted == "slots" else 0), done.stderr
+    assert done.returncode == (1 if planted in ("slots", "late") else 0), done.stderr
     (path,) = done.stdout.split()
     return Recording(place(path))
 
@@ -116,7 +119,10 @@ def test_an_engine_that_tells(plugin: dict[str, str], tmp_path: Path) -> None:
     """Call a run INVALID whose engine says that it holds other actions than it was given."""
     wrong = _recorded(tmp_path, plugin, *SHIFTED, planted="slots")
     assert wrong.status == "invalid"
-    assert f"the engine's actions of step {STEPS - 1} are not those it was given, in {N_ENV} envs" in wrong.reason
+    assert f"the engine's actions of step {STEPS - 1} are not those it was given, in {N_ENV} envs: " in wrong.reason
+    assert "they are those of the neighbouring environments" in wrong.reason
+    late = _recorded(tmp_path, plugin, *USUAL, planted="late")
+    assert "they are those of the step before" in late.reason
 
 
 def test_shifted_actions_are_not_continued(plugin: dict[str, str], tmp_path: Path) -> None:

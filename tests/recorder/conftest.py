@@ -46,7 +46,7 @@ class Faulty(Simulator):
             raise RuntimeError("no second build")
         if self.options.mode == "build":
             raise RuntimeError("no device\\nof that name")
-        self.k = 0
+        self.k = self.queued = 0
         field = body_field("cubes", "position", "float32", ("a", "b"))
         return Description("1.0", "cpu", {}, {}, (), (field,), timing_covers="nothing")
 
@@ -75,8 +75,12 @@ class Faulty(Simulator):
                     time.sleep(0.01)
                 if self.options.mode == "slow":
                     time.sleep(0.01)
+        self.queued += n_step
 
     def state(self):
+        if self.options.mode == "queue":  # the device works only when it is waited for
+            time.sleep(0.3 * self.queued)
+        self.queued = 0
         state = np.full((self.n_env, 2, 3), float(self.k), dtype=np.float32)
         if self.options.mode == "nan" and self.k >= self.options.at:
             state[0, 1, 2] = np.nan

@@ -45,6 +45,7 @@ def test_a_third_party_simulator_records(gsb_record: Command, plugin: dict[str, 
         pytest.param("memory", "failed", "out of host memory in phase capture", marks=pytest.mark.slow),
         ("nan", "invalid", "a state is not finite: step 5, env 0, cubes/position of b"),
         ("gate", "invalid", "phase warmup: contacts were dropped; the same in phase timed"),
+        ("queue", "invalid", "step() returns before the device is done, so the clocks do not cover the work"),
     ],
 )
 def test_a_run_that_fails_says_why(
@@ -60,7 +61,8 @@ def test_a_run_that_fails_says_why(
     for file in files:
         recording = open_recording(file)
         verify(recording)
-        assert (recording.status, recording.reason) == (status, reason)
+        assert recording.status == status
+        assert reason in recording.reason
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from gpusimbench.schemas.treatment import Intervention
 
 _BLOWN = 1e9  # in any SI unit: the simulation blew up
 _LONGEST = 1e9  # [s]
+_UNIT = 2e-3  # rounding of an engine that computes in half precision makes a quaternion this much longer or shorter
 _WITH_JOINTS = Missing("the scene has joints; contacts and energy are looked at in scenes of balls and cubes alone")
 _NO_JOINTS = Missing("the scene has no joints")
 
@@ -100,6 +101,7 @@ def check_described(recording: Recording) -> None:
 
 def _of_states(setting: Setting) -> Facts:
     depths, balance, slides = Depths(setting), Balance(setting), Slides(setting)
+    lengths = _Lengths(setting.walk)
     blown: npt.NDArray[np.bool_] | None = None
     last: States | None = None
     for states in setting.walk.chunks():
@@ -110,9 +112,10 @@ def _of_states(setting: Setting) -> Facts:
         depths.feed(states)
         balance.feed(states)
         slides.feed(states)
+        lengths.feed(states)
         last = states
     assert blown is not None
-    finite = measured(blown.astype(np.float64), low=0.0, high=0.0, tolerance=0.0, of="none")
+    finite = measured(blown.astype(np.float64), low=0.0, high=0.0, tolerance=0.0, of="none", note=lengths.said)
     if blown.any() or last is None:
         others = [check for check in Check if check not in (Check.FINITE, Check.SANK, Check.JOINT_LIMIT)]
         return {Check.FINITE: finite, **dict.fromkeys(others, Missing("states are not finite"))}
@@ -131,6 +134,31 @@ def _blown_up(states: States) -> npt.NDArray[np.bool_]:
     arrays = (states.position, states.orientation, states.linear, states.angular)
     good = [(np.abs(array) <= _BLOWN).all(axis=(0, 2, 3)) for array in arrays if array is not None]
     return np.asarray(~np.logical_and.reduce(good))
+
+
+class _Lengths:
+    """Looks for orientations that are not unit quaternions, which no check of mechanics notices.
+
+    said  the first of them; empty where there is none
+    """
+
+    def __init__(self, walk: Walk) -> None:
+        self._walk = walk
+        self.said = ""
+
+    def feed(self, states: States) -> None:
+        """Take the next rows."""
+        if self.said or states.orientation is None:
+            return
+        length = np.linalg.norm(states.orientation[:, states.distinct], axis=3)
+        wrong = np.argwhere(np.abs(length - 1.0) > _UNIT)
+        if len(wrong):
+            row, env, body = wrong[0]
+            (_, name), number = self._walk.items[body], self._walk.env_numbers[states.distinct[env]]
+            self.said = (
+                f"orientations are not unit quaternions: the first has length {length[row, env, body]:.4g} "
+                f"({name} at step {states.step[row]:.0f}, environment {number})"
+            )
 
 
 def _sank(found: Sunk | Missing) -> Fact:

@@ -88,6 +88,11 @@ class Walk:
         return min((len(array) for array in self._fields.values()), default=0)
 
     @property
+    def env_numbers(self) -> Index:
+        """Of the environments that are read, in the order of the arrays."""
+        return np.concatenate([np.arange(first, last + 1) for first, last in self._envs])
+
+    @property
     def epsilon(self) -> float:
         """Spacing of the numbers just above 1, of the coarsest type that positions have."""
         arrays = [self._fields[g, "position"] for g in self.groups]
