@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import shutil
 import zipfile
 from importlib.util import find_spec
@@ -297,6 +298,19 @@ def test_engines_that_take_no_models(simulator: str, tmp_path: Path) -> None:
     others = done.stderr.partition("simulators that can: ")[2].strip().split(", ")
     assert {"mujoco", "newton", "genesis", "physx", "isaaclab"} <= set(others)
     assert not {"sapien", "brax", "maniskill", "calibration"} & set(others)
+
+
+def test_what_is_no_model_file(tmp_path: Path) -> None:
+    """Say what to give instead of a compiled model, and of what cannot be read twice."""
+    compiled_model = tmp_path / "robot.mjb"
+    mujoco.mj_saveModel(mujoco.MjModel.from_xml_string(_SLEEPING), str(compiled_model), None)
+    with pytest.raises(UsageError, match="give the MJCF or URDF that it was made from"):
+        pack(compiled_model)
+    pipe = tmp_path / "pipe.xml"
+    os.mkfifo(pipe)
+    for other in (pipe, tmp_path):
+        with pytest.raises(UsageError, match="save the model, MJCF or URDF, in a file"):
+            pack(other)
 
 
 @pytest.mark.parametrize(
