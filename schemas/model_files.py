@@ -49,6 +49,12 @@ def pack(path: Path) -> bytes:
 
     UsageError where a file is missing, lies at an absolute path, is no XML, or where there is too much.
     """
+    if path.suffix.lower() == ".mjb":
+        raise UsageError(
+            f"{path} is a compiled model, which names no files; give the MJCF or URDF that it was made from"
+        )
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{path} is no file but a folder or a pipe; save the model, MJCF or URDF, in a file")
     main = Path(os.path.abspath(path))
     found = _Search(main).files()
     root = Path(os.path.commonpath([file.parent for file in found]))

@@ -238,11 +238,29 @@ def choices() -> dict[str, dict[str, int]]:
             "RK4": mjtIntegrator.mjINT_RK4,
             "implicit": mjtIntegrator.mjINT_IMPLICIT,
             "implicitfast": mjtIntegrator.mjINT_IMPLICITFAST,
+            **({"discrete": mjtIntegrator.mjINT_DISCRETE} if hasattr(mjtIntegrator, "mjINT_DISCRETE") else {}),
         },
         "cone": {"elliptic": mjtCone.mjCONE_ELLIPTIC, "pyramidal": mjtCone.mjCONE_PYRAMIDAL},
         "solver": {"Newton": mjtSolver.mjSOL_NEWTON, "CG": mjtSolver.mjSOL_CG, "PGS": mjtSolver.mjSOL_PGS},
     }
     return {name: {word: int(kind) for word, kind in words.items()} for name, words in kinds.items()}
+
+
+def control_names(model: Any) -> tuple[str, ...]:
+    """Names of the controls of a mujoco.MjModel, in its order: of their actuators, and of an actuator that has several
+    controls, such as a servo of orientation, its name and their numbers: "wrist.0", "wrist.1", "wrist.2"."""
+    actuators = len(model.actuator_trntype)
+    counts = getattr(model, "actuator_ctrlnum", [1] * actuators)  # releases before 4.0 have one for each
+    return tuple(
+        f"{name}.{number}" if count > 1 else name
+        for name, count in zip(actuator_names(model), counts, strict=True)
+        for number in range(count)
+    )
+
+
+def actuator_names(model: Any) -> tuple[str, ...]:
+    """Names of the actuators of a mujoco.MjModel, in its order."""
+    return tuple(model.actuator(a).name or f"actuator{a}" for a in range(len(model.actuator_trntype)))
 
 
 def solver_options(model: Any) -> dict[str, str]:
@@ -292,7 +310,7 @@ def controls_of(model: Any, actions: str, keyframe: Any, file: bytes | None) -> 
     Random controls are uniform within the control range of each actuator, or within +-1 where it has none. UsageError
     where that cannot be.
     """
-    names = tuple(model.actuator(index).name or f"actuator{index}" for index in range(model.nu))
+    names = control_names(model)
     asked = actions or ("random" if names else "none")
     if asked == "none":
         return asked, None

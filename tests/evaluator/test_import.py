@@ -15,8 +15,10 @@ from gpusimbench.evaluator.imports.parameters import ComparedKind, ParameterDiff
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.recorder.run.import_phase import tried
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model import ModelScene, model_scene
+from gpusimbench.recorder.scenes.model import ModelScene, compiled, model_scene
 from gpusimbench.recorder.simulators.base import Simulator
+from gpusimbench.recorder.simulators.mujoco import trials
+from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.imported import Imported, Trials
 from gpusimbench.schemas.model_files import pack
@@ -296,6 +298,24 @@ def test_the_smallest_model(tmp_path: Path) -> None:
     assert not _findings(compare(held.imported, held.imported))
     placed, responded = _moved(held, held)
     assert [link.link for link in placed.links] == ["world", "body1"] and len(responded.each) == 1
+
+
+def test_an_actuator_of_several_controls(tmp_path: Path) -> None:
+    """Hold the ranges of an actuator's controls in its row, and try each of its controls by itself."""
+    path = tmp_path / "several.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody><actuator>'
+        '<motor name="push" joint="j" ctrlrange="-2 2"/><dcmotor name="servo" joint="j" motorconst="1" resistance="1" '
+        'input="pos vel" controller="10 0 5"/></actuator></mujoco>'
+    )
+    scene = model_scene("several", pack(path))
+    held = of_c(compiled(scene.archive)[1])
+    inf = np.inf
+    ranges = held.values["actuators/control_range"]
+    np.testing.assert_array_equal(ranges, [[-2, 2, np.nan, np.nan], [-inf, inf, -inf, inf]])
+    plan = trials.plan(scene, dt=0.002, seed=0)
+    assert plan.targets[-3:] == ("push", "servo.0", "servo.1")
+    assert (plan.controls[-3:] != 0).tolist() == np.eye(3, dtype=bool).tolist()
 
 
 def test_what_an_engine_does_not_have(reference: Held) -> None:

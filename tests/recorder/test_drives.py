@@ -66,3 +66,11 @@ def test_what_links_and_joints_do_not_have(said: str, body: str) -> None:
     """Refuse what would be missing from the links and joints of a USD stage."""
     with pytest.raises(Refused, match=f"PhysX and Isaac Lab are not given the {said}"):
         plan(model_of(body), "a.xml")
+
+
+def test_an_actuator_of_several_controls() -> None:
+    """Refuse by name an actuator that takes more than one control."""
+    servo = '<dcmotor name="servo" joint="j" motorconst="1" resistance="1" input="pos vel" controller="10 0 5"/>'
+    model = model_of(ARM.format(joint=""), f"<actuator>{servo}</actuator>")
+    with pytest.raises(Refused, match="an engine cannot be given actuator 'servo', which has 2 controls; try another"):
+        drives(model, Places(np.array([0]), np.array([0]), 1), "an engine", remedy="try another")

@@ -104,7 +104,11 @@ def test_options_that_there_are_not(options: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(
     ("options", "instead"),
-    [({"integrator": "implicit"}, "integrator=implicitfast"), ({"solver": "PGS"}, "solver=Newton")],
+    [
+        ({"integrator": "implicit"}, "integrator=implicitfast"),
+        ({"integrator": "discrete"}, "integrator=implicitfast"),
+        ({"solver": "PGS"}, "solver=Newton"),
+    ],
 )
 def test_what_mjx_has_not_implemented_is_refused(options: dict[str, Any], instead: str) -> None:
     """Say as an outcome, not as a crash, that the implementation in JAX lacks something, and what to give instead."""

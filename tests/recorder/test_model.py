@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import shutil
 import zipfile
 from importlib.util import find_spec
@@ -299,6 +300,19 @@ def test_engines_that_take_no_models(simulator: str, tmp_path: Path) -> None:
     assert not {"sapien", "brax", "maniskill", "calibration"} & set(others)
 
 
+def test_what_is_no_model_file(tmp_path: Path) -> None:
+    """Say what to give instead of a compiled model, and of what cannot be read twice."""
+    compiled_model = tmp_path / "robot.mjb"
+    mujoco.mj_saveModel(mujoco.MjModel.from_xml_string(_SLEEPING), str(compiled_model), None)
+    with pytest.raises(UsageError, match="give the MJCF or URDF that it was made from"):
+        pack(compiled_model)
+    pipe = tmp_path / "pipe.xml"
+    os.mkfifo(pipe)
+    for other in (pipe, tmp_path):
+        with pytest.raises(UsageError, match="save the model, MJCF or URDF, in a file"):
+            pack(other)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -325,6 +339,55 @@ def test_models_that_cannot_be(text: str, said: str, tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(UsageError, match=said):
         model_scene("robot", pack(path))
+
+
+_SEVERAL = """
+<mujoco><option integrator="discrete"/><worldbody>
+  <body><joint name="hinge"/><geom size=".1"/></body>
+  <body pos="1 0 0"><joint name="other"/><geom size=".1"/></body>
+</worldbody><actuator>
+  <dcmotor name="servo" joint="hinge" motorconst="1" resistance="1" input="pos vel" controller="10 0 5"/>
+  <motor joint="other" ctrlrange="-3 3"/>
+</actuator></mujoco>
+"""
+
+
+def test_an_actuator_of_several_controls(tmp_path: Path) -> None:
+    """Draw each of its controls under a name of its own, and step with the integrator that the file asks for."""
+    path = tmp_path / "several.xml"
+    path.write_text(_SEVERAL)
+    read = open_recording(_record(tmp_path / "out", "--model", path))
+    scene = model_scene("several", pack(path))
+    assert scene.actions is not None
+    assert scene.actions.joints == ("servo.0", "servo.1", "actuator1")
+    assert (scene.actions.lower, scene.actions.upper) == ((-1, -1, -3), (1, 1, 3))
+    assert read.actions("controls").shape[-1] == len(scene.actions.joints)
+    assert read.simulation.options["integrator"] == "discrete"
+
+
+_SLEEPING = """
+<mujoco><option><flag sleep="enable"/></option><worldbody>
+  <geom type="plane" size="5 5 1"/>
+  <body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>
+</worldbody></mujoco>
+"""
+
+
+def test_bodies_that_sleep(tmp_path: Path) -> None:
+    """Step models that mujoco.batch does not take, with MuJoCo's own bits; refuse to save a state that lacks a part."""
+    path = tmp_path / "sleeping.xml"
+    path.write_text(_SLEEPING)
+    read = open_recording(_record(tmp_path / "out", "--model", path))
+    _, model = compiled(pack(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 60)
+    np.testing.assert_array_equal(read.state("bodies", "position")[-1, :, 0], np.tile(data.qpos[:3], (2, 1)))
+    asked = ("gsb-record", "--sim", "mujoco", "--model", path, *_SHORT)
+    saved = call(*asked, "--snapshot", "30", "--out", tmp_path / "saved")
+    assert saved.returncode != ExitCode.OK
+    assert 'set <flag sleep="disable"/> in the model' in saved.stderr
+    batch = call(*asked, "--option", "stepping=batch", "--out", tmp_path / "batch")
+    assert "use stepping=mj_step" in batch.stderr
 
 
 def test_a_model_named_like_a_scene(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.scenes.model import actuator_names
 
 _HINGE, _SLIDE = 3, 2  # of mujoco.mjtJoint
 _JOINT, _JOINT_IN_PARENT, _TENDON = 0, 1, 3  # of mujoco.mjtTrn
@@ -68,6 +69,9 @@ def drives(model: Any, places: Places, engine: str, *, remedy: str, limited_serv
     limited_servos  the engine clamps the force of a servo itself
     """
     nv, nu = places.count, model.nu
+    for name, count in zip(actuator_names(model), getattr(model, "actuator_ctrlnum", ()), strict=False):
+        if count > 1:
+            raise Refused(f"{engine} cannot be given actuator '{name}', which has {count} controls; {remedy}")
     unlimited = np.float32(np.inf)
     limited = {name: np.asarray(getattr(model, f"actuator_{name}limited"), dtype=bool) for name in ("ctrl", "force")}
     if disabled(model, "CLAMPCTRL"):
@@ -84,11 +88,10 @@ def drives(model: Any, places: Places, engine: str, *, remedy: str, limited_serv
             reference[places.at_qd[joint]] = model.qpos0[model.jnt_qposadr[joint]]
             target_of[places.at_qd[joint]] = places.at_q[joint]
     alone = "" if limited_servos else " and without a force range"
-    for a in range(nu):
+    for a, name in enumerate(actuator_names(model)):
         if _switched_off(model, a):
             continue
         found = _arms(model, places, a)
-        name = model.actuator(a).name or f"actuator{a}"
         kind = _servo_of(model, a)
         plain = model.actuator_gaintype[a] == _FIXED_GAIN and model.actuator_dyntype[a] == _NO_DYNAMICS
         if found and plain and model.actuator_biastype[a] == _NO_BIAS:

@@ -43,7 +43,7 @@ _PLAIN = {
     },
     "equalities": {"active": "eq_active0", "solref": "eq_solref", "solimp": "eq_solimp"},
     "actuators": {
-        "gear": "actuator_gear", "gain": "actuator_gainprm", "bias": "actuator_biasprm", "dynamics": "actuator_dynprm",
+        "gain": "actuator_gainprm", "bias": "actuator_biasprm", "dynamics": "actuator_dynprm",
     },
 }  # fmt: skip
 _RANGES = {
@@ -171,7 +171,8 @@ class _Reader:
         key = f"{kind}/{name}"
         if pair := _RANGES.get(key):
             limited, found = (self._read(field) for field in pair)
-            return np.where(limited.reshape(-1, 1).astype(bool), found, [[-np.inf, np.inf]])
+            ranges = np.where(limited.reshape(-1, 1).astype(bool), found, [[-np.inf, np.inf]])
+            return self._by_actuator(ranges, "ctrl") if key == "actuators/control_range" else ranges
         if field := _OF_BODIES.get(key):
             return [self._body[int(body)] for body in self._read(field)]
         if field := _OF_LIMITS.get(key):
@@ -267,6 +268,18 @@ class _Reader:
         most = max(_DATA.values())
         used = [_first(row, _DATA.get(mjtEq(int(kind)), 0)) for kind, row in zip(kinds, data, strict=True)]
         return np.array([_first(row, most) for row in used])
+
+    def _by_actuator(self, rows: NDArray[Any], of: str) -> NDArray[Any]:
+        """Rows of controls ("ctrl") or of outputs ("out") as a row for each actuator, some of which have several of
+        them: NaN where another actuator has more."""
+        counts = getattr(self._model, f"actuator_{of}num", np.empty(0))  # releases before 4.0 have one for each
+        if (counts == 1).all() or len(rows) != counts.sum():
+            return rows
+        widest = int(counts.max()) * rows.shape[1]
+        return np.array([_first(part.ravel(), widest) for part in np.split(rows, np.cumsum(counts)[:-1])])
+
+    def _actuators_gear(self) -> NDArray[Any]:
+        return self._by_actuator(self._read("actuator_gear"), "out")
 
     def _actuators_target(self) -> Sequence[str]:
         targets = self._read("actuator_trnid").reshape(len(self._actuator), -1)

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from gpusimbench.recorder.options import ABOVE_0, AT_LEAST_1, FROM_0, names_of, one_of, parse_options, require
 from gpusimbench.recorder.scenes.base import Scene
 
-INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")
+INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast", "discrete")
 CONES = ("elliptic", "pyramidal")
 SOLVERS = ("Newton", "CG", "PGS")
 
@@ -20,8 +20,12 @@ _IMPEDANCE = (0.0001, 0.9999)  # mjMINIMP, mjMAXIMP: MuJoCo clips to these
 OPTION_ATTRIBUTES = ("integrator", "cone", "solver", "iterations", "ls_iterations", "tolerance", "impratio")
 GEOM_ATTRIBUTES = ("solref", "solimp", "condim")
 
-_REPLACED = {"mjSOL_": "solver=Newton", "mjINT_": "integrator=implicitfast", "mjCONE_": "cone=pyramidal"}
-"""By the prefix of MuJoCo's constants, an option that the engines of its family know."""
+_REPLACED = {
+    "mjSOL_": "solver=Newton", "mjINT_": "integrator=implicitfast", "integrator 4": "integrator=implicitfast",
+    "mjCONE_": "cone=pyramidal",
+}  # fmt: skip
+"""By the prefix of MuJoCo's constants, or the number of an integrator that MJX has no name for (discrete), an
+option that the engines of the family know."""
 
 STATE_COMPONENTS = (
     "time", "qpos", "qvel", "act", "history", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied", "eq_active",
@@ -34,7 +38,7 @@ STATE_COMPONENTS = (
 class MjcfOptions:
     """Options of MuJoCo's physics.
 
-    integrator     Euler, RK4, implicit or implicitfast
+    integrator     Euler, RK4, implicit, implicitfast or discrete
     cone           of friction: elliptic or pyramidal
     solver         of constraints: Newton, CG or PGS
     iterations     of the solver, at most
@@ -99,5 +103,5 @@ def own_options(scene: Scene, given: Mapping[str, str] = MappingProxyType({})) -
 def replacement(refusal: str) -> str:
     """What to do about a solver, an integrator or a cone that an engine refuses by MuJoCo's name, to be added to the
     refusal: the option that replaces it. Empty where the refusal names something else."""
-    options = [f"--option {option}" for prefix, option in _REPLACED.items() if prefix in refusal]
+    options = dict.fromkeys(f"--option {option}" for prefix, option in _REPLACED.items() if prefix in refusal)
     return f"; {' '.join(options)} replaces the model's own" if options else ""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES, ROBOTS, VARIED, Ability
+from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, Evidence
@@ -30,7 +31,7 @@ class MujocoOptions(MjcfOptions):
 
     threads    0: as many as the process may use
     stepping   batch: mujoco.batch.Batch; mj_step: mj_step of each environment, which every release of MuJoCo has; auto:
-               the batch where there is one. Both give the same bits
+               the batch where there is one, and the model enables neither sleep nor ipc. Both give the same bits
     """
 
     threads: int = 0
@@ -119,7 +120,15 @@ class MujocoC(Simulator):
         return StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE)
 
     def snapshot(self) -> Snapshot:
-        """See Simulator.snapshot."""
+        """See Simulator.snapshot; Refused where bodies may sleep: which of them do is no part of MuJoCo's state, and a
+        run that goes on from it differs."""
+        from gpusimbench.recorder.simulators.mujoco.worlds import remembers
+
+        if flag := remembers(self._compiled.model):
+            raise Refused(
+                f"MuJoCo cannot save the state of a model with the flag {flag}, which needs more than the state has; "
+                f'set <flag {flag}="disable"/> in the model'
+            )
         return Snapshot(self._made, {name: self._worlds.read(name).copy() for name in self._worlds.state_names})
 
     def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:

@@ -18,7 +18,7 @@ from mujoco import mjtJoint
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model import ModelScene
+from gpusimbench.recorder.scenes.model import ModelScene, control_names
 from gpusimbench.recorder.simulators.base import Simulator, States
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
@@ -57,7 +57,7 @@ class TrialPlan:
     poses     for the kinematics, states [pose, ...] of the model's fields
     starts    of the trials, states [trial, ...]
     kinds     of each trial: "rest", "joint" or "actuator"
-    targets   name of the joint or actuator; empty for "rest"
+    targets   name of the joint or of the control (control_names); empty for "rest"
     controls  [trial, actuator]
     """
 
@@ -74,8 +74,8 @@ def plan(scene: ModelScene, *, dt: float, seed: int) -> TrialPlan:
     Every hinge and slide of a drawn pose is within its limits, or within +-pi rad or +-1 m of its reference; balls and
     free bodies are turned. Trials begin in the middle of all limits, with free bodies lifted off the ground and away
     from each other, or, if bodies touch there, in the first drawn pose in which none do. The first trial is the pose at
-    rest; then each degree of freedom has a speed of KICK; then each actuator has a control, half-way between the middle
-    and the upper end of its range, or 1. All other speeds and controls are 0.
+    rest; then each degree of freedom has a speed of KICK; then each control in turn is half-way between the middle
+    and the upper end of its range, or is 1. All other speeds and controls are 0.
     """
     compiled = compile_scene(scene, dt=dt, options=own_options(scene))
     model = compiled.model
@@ -87,16 +87,17 @@ def plan(scene: ModelScene, *, dt: float, seed: int) -> TrialPlan:
     for dof in range(model.nv):
         kinds.append("joint")
         targets.append(held["joints"][int(model.dof_jntid[dof])])
-    kinds += ["actuator"] * len(held["actuators"])
-    targets += held["actuators"]
+    actuated = control_names(model)
+    kinds += ["actuator"] * len(actuated)
+    targets += actuated
     kinds, targets = kinds[:MAX_TRIALS], targets[:MAX_TRIALS]
     speeds, controls = np.zeros((len(kinds), model.nv)), np.zeros((len(kinds), model.nu))
     for trial in range(1, len(kinds)):
         if trial <= model.nv:
             speeds[trial, trial - 1] = KICK
         else:
-            actuator = trial - 1 - model.nv
-            controls[trial, actuator] = _control(model, actuator)
+            control = trial - 1 - model.nv
+            controls[trial, control] = _control(model, control)
     return TrialPlan(
         _states(compiled, poses, np.zeros((N_POSE, model.nv))),
         _states(compiled, np.tile(start, (len(kinds), 1)), speeds),
@@ -110,10 +111,10 @@ def _states(compiled: MjcfModel, qpos: NDArray[np.float64], qvel: NDArray[np.flo
     return tuple(np.array(array) for array in compiled.split(qpos, qvel))
 
 
-def _control(model: Any, actuator: int) -> float:
-    if not model.actuator_ctrllimited[actuator]:
+def _control(model: Any, control: int) -> float:
+    if not model.actuator_ctrllimited[control]:
         return 1.0
-    low, high = model.actuator_ctrlrange[actuator]
+    low, high = model.actuator_ctrlrange[control]
     return float((low + high) / 2 + _CONTROL * (high - low) / 2)
 
 

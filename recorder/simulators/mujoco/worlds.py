@@ -148,11 +148,21 @@ class SeparateWorlds(Worlds):
         return list(range(len(self._data))) if envs is None else [int(env) for env in envs]
 
 
+def remembers(model: Any) -> str:
+    """The flag of a mujoco.MjModel, such as sleep, with which MuJoCo remembers more between steps than
+    mjSTATE_INTEGRATION has; empty where there is none."""
+    flags = {name: getattr(mujoco.mjtEnableBit, f"mjENBL_{name.upper()}", 0) for name in ("sleep", "ipc")}
+    return next((name for name, bit in flags.items() if model.opt.enableflags & int(bit)), "")
+
+
 def make_worlds(stepping: str, models: Sequence[Any], threads: int) -> Worlds:
     """An environment of each model, which may be the same one, stepped in that way; UsageError where this release of
     MuJoCo does not have it."""
     there = find_spec("mujoco.batch") is not None
     if stepping == "batch" and not there:
         raise UsageError(f"stepping=batch: MuJoCo {mujoco.__version__} has no mujoco.batch; use stepping=mj_step")
-    kind = BatchWorlds if there and stepping != "mj_step" else SeparateWorlds
+    flag = remembers(models[0])
+    if stepping == "batch" and flag:
+        raise UsageError(f"stepping=batch: mujoco.batch has no models with the flag {flag}; use stepping=mj_step")
+    kind = BatchWorlds if there and stepping != "mj_step" and not flag else SeparateWorlds
     return kind(models, threads)
