@@ -57,7 +57,7 @@ def rest(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.param(("calibration",), marks=pytest.mark.slow),
         pytest.param(("warp", "--option", "device=cpu"), marks=pytest.mark.slow),
         pytest.param(("newton", "--option", "device=cpu", "--solver", "xpbd"), marks=pytest.mark.slow),
-        pytest.param(("mjx", "--scene", "free-fall"), marks=pytest.mark.slow),
+        pytest.param(("mjx", "--scene", "cube-toss"), marks=pytest.mark.slow),
     ],
     ids=" ".join,
 )
