@@ -1,6 +1,6 @@
 """Timed phase of the recorder against a bare loop of the same engine and against the engine's own speed tool, in turn.
 
-usage: python -m benchmarks.engine_best --sim warp|mjx|genesis|newton|physx|isaaclab [--scene free-fall]
+usage: python -m benchmarks.engine_best --sim warp|mjx|genesis|newton|physx|isaaclab|brax [--scene free-fall]
            [--n-env 1024] [--steps 500] [--rounds 3] [--option NAME=VALUE ...]
 
 The bare loop (benchmarks.bare) does the recording's own work: its model, buffer sizes, initial state, warm-up, steps
@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 WARMUP = 100
 
-BARE = ("warp", "mjx", "genesis", "newton", "physx", "isaaclab")
+BARE = ("warp", "mjx", "genesis", "newton", "physx", "isaaclab", "brax")
 """Simulators that benchmarks.bare has a loop of."""
 
 

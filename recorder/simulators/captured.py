@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,3 +88,13 @@ def gathered(begin: Callable[[int], Captured], n_step: int, rows: int) -> tuple[
             evidence.append(found.copy())
         block.release()
     return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True))), joined(evidence)
+
+
+def row_index(places: Sequence[int]) -> slice | NDArray[np.int64]:
+    """An index that takes these rows of an array: a slice where they follow each other, of which numpy gives a view.
+
+    With a list of rows it copies, and lays the copy out in an order that the writer has to copy once more: of 27 bodies
+    in 4,096 environments, 10 ms a step.
+    """
+    first, end = places[0], places[0] + len(places)
+    return slice(first, end) if list(places) == list(range(first, end)) else np.array(places)

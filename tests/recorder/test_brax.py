@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
+from gpusimbench.recorder.simulators.brax.simulator import SOLVERS
 from gpusimbench.schemas.errors import UsageError
 from tests.recorder import engines
 from tests.recorder.engines import PAIR, bits
@@ -66,7 +68,7 @@ def test_a_ball_bounces(solver: str) -> None:
 
 @pytest.mark.slow
 def test_by_step_and_by_states() -> None:
-    """Reach the same bits by step, by states, in pieces of any size; count the contacts of the poses reached."""
+    """Reach the same bits by step, by states, in pieces of any size; count the contacts of the step's own search."""
     stepped, description = build(PAIR, solver="spring")
     stepped.compile("timed")
     stepped.step(3)
@@ -83,6 +85,24 @@ def test_by_step_and_by_states() -> None:
         assert counted[0].tolist() == theirs.counts[name][-1].tolist()
     assert ours.counts["candidate_pairs"].tolist() == [[3, 3]]
     assert bits(stepped) == bits(captured) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_step_searches_for_collisions_once(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Count contacts in the search of the step itself, timed and captured: a second search costs as much as a step."""
+    from brax import contact
+
+    simulator, _ = build(PAIR, n_env=1, solver=solver)
+    searches = []
+    search = contact.get
+    monkeypatch.setattr(contact, "get", lambda system, x: searches.append(x) or search(system, x))
+    for program in ("advance", "record"):
+        searches.clear()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # MJX warns that Brax reads names that have moved
+            simulator._lowered(program)
+        assert len(searches) == 1, program
 
 
 @pytest.mark.slow

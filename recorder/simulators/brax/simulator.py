@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module, metadata
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from gpusimbench.recorder.options import AT_LEAST_1, MEASURED, one_of, require
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.deviations import LARGER, MEAN, combination, materials, other_restitution
 from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.recorder.simulators.captured import row_index
 from gpusimbench.recorder.simulators.evidence import CANDIDATE_PAIRS, CONTACTS
 from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW
@@ -100,9 +101,9 @@ def deviations(scene: Scene, options: BraxOptions) -> tuple[Deviation, ...]:
 class Brax(JaxSimulator):
     """N environments: the step of a Brax pipeline, vmapped over its State.
 
-    Brax keeps no contacts in its state: they are counted at the poses after each step, by the same collision code.
-    Spring and generalized begin the next step with these poses; positional collides at poses that it predicts within
-    the step, which differ by what bodies move in one step.
+    Brax keeps no contacts in its state. Those that a step finds are counted where it finds them, in the one search for
+    collisions that it makes: spring searches at the poses at which the step begins, generalized at those at which it
+    ends, positional at poses that it predicts within the step.
     """
 
     Options = BraxOptions
@@ -118,8 +119,9 @@ class Brax(JaxSimulator):
 
             pipeline = import_module(f"brax.{options.solver}.pipeline")
             system = mjcf.load_model(compiled.model)
+        self.system = system
         names = list(system.link_names)
-        self._links = [[names.index(body) for body in bodies] for bodies in self.scene.groups().values()]
+        self._links = [row_index([names.index(body) for body in bodies]) for bodies in self.scene.groups().values()]
         return self._physics_of(pipeline, system, compiled, caps), Description(
             version=metadata.version("brax"),
             device=jax_runtime.name_of(device),
@@ -142,7 +144,8 @@ class Brax(JaxSimulator):
             fields=self._fields(),
             timing_covers=(
                 f"a compiled loop (jax.lax.fori_loop) of the vmapped step of brax.{options.solver}.pipeline, until the "
-                "device is done; overflow bits are gathered on the device after each step; nothing is copied"
+                "device is done; overflow bits are gathered on the device from the contacts that the step found; "
+                "nothing is copied"
             ),
             attachments=compiled.attachments,
             buffers=caps.buffers,
@@ -163,35 +166,50 @@ class Brax(JaxSimulator):
         body = np.asarray(compiled.model.geom_bodyid)
         fixed = jnp.asarray(compiled.model.geom_pos, jnp.float32)
         no_actions = jnp.zeros(0, jnp.float32)
-        step = jax.vmap(lambda state: pipeline.step(system, state, no_actions))
 
-        def count(state: Any) -> dict[str, Any]:
-            # a body of a scene has one shape, at its centre
-            centres = jnp.where((body == 0)[:, None], fixed, state.x.pos[:, body - 1])
+        def counts(centres: Any, active: Any) -> dict[str, Any]:
             candidates = certificate.candidates(centres)
-            if dim.size:
-                active = jax.vmap(lambda x: contact.get(system, x).dist)(state.x) < 0
-            else:
-                active = jnp.zeros((self.n_env, 0), bool)
             return {
                 CONTACTS.name: active.sum(axis=-1, dtype=jnp.int32),
                 CANDIDATE_PAIRS.name: candidates,
                 OVERFLOW: certificate.bits(candidates, active, dim),
             }
 
+        def seen(x: Any, found: Any) -> tuple[Any, Any]:
+            # a body of a scene has one shape, at its centre
+            return jnp.where((body == 0)[:, None], fixed, x.pos[body - 1]), (
+                jnp.zeros(0, bool) if found is None else found.dist < 0
+            )
+
+        def step(state: Any) -> tuple[Any, tuple[Any, Any]]:
+            with _watched(contact) as searches:
+                stepped = pipeline.step(system, state, no_actions)
+            [(x, found)] = searches
+            return stepped, seen(x, found)
+
+        def advance(state: _Counted, _: Any) -> _Counted:
+            stepped, collisions = jax.vmap(step)(state.state)
+            return _Counted(stepped, counts(*collisions))
+
+        def initial(qpos: Any, qvel: Any) -> _Counted:
+            first = jax.vmap(lambda q, qd: pipeline.init(system, q, qd))(qpos, qvel)
+            return _Counted(first, counts(*jax.vmap(lambda x: seen(x, contact.get(system, x)))(first.x)))
+
         return Physics(
-            initial=jax.jit(jax.vmap(lambda q, qd: pipeline.init(system, q, qd))),
-            advance=lambda state, actions: step(state),
-            observe=lambda state: {
-                "position": state.x.pos,
-                "orientation": state.x.rot,
-                "linear_velocity": state.xd.vel,
-                "angular_velocity": state.xd.ang,
+            initial=jax.jit(initial),
+            advance=advance,
+            observe=lambda counted: {
+                "position": counted.state.x.pos,
+                "orientation": counted.state.x.rot,
+                "linear_velocity": counted.state.xd.vel,
+                "angular_velocity": counted.state.xd.ang,
             },
-            count=count,
-            kept=_leaves,
-            put=lambda state, arrays: jax.tree.unflatten(
-                jax.tree.structure(state), [arrays[name] for name in _leaves(state)]
+            count=lambda counted: counted.counts,
+            kept=lambda counted: _leaves(counted.state),
+            put=lambda counted, arrays: counted._replace(
+                state=jax.tree.unflatten(
+                    jax.tree.structure(counted.state), [arrays[name] for name in _leaves(counted.state)]
+                )
             ),
         )
 
@@ -213,6 +231,31 @@ class Brax(JaxSimulator):
 
     def _split(self, seen: dict[str, NDArray[Any]]) -> States:
         return tuple(seen[field][..., links, :] for links in self._links for field in BODY_FIELDS)
+
+
+class _Counted(NamedTuple):
+    """A pipeline's State of all environments, and the counts of the step that led to it, [env] by counter name."""
+
+    state: Any
+    counts: dict[str, Any]
+
+
+@contextmanager
+def _watched(contact: Any) -> Iterator[list[tuple[Any, Any]]]:
+    """The searches for collisions that a pipeline makes while JAX traces it: poses, and the contacts found."""
+    searches: list[tuple[Any, Any]] = []
+    search = contact.get
+
+    def get(system: Any, x: Any) -> Any:
+        found = search(system, x)
+        searches.append((x, found))
+        return found
+
+    contact.get = get
+    try:
+        yield searches
+    finally:
+        contact.get = search
 
 
 def _leaves(state: Any) -> dict[str, Any]:

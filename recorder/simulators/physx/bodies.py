@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.scenes.base import Scene, Vector
 from gpusimbench.recorder.scenes.emit.usd import env_path, prim_names
 from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.captured import row_index
 from gpusimbench.recorder.simulators.physx import libraries
 from gpusimbench.recorder.simulators.physx.session import Session, every
 from gpusimbench.recorder.simulators.snapshot import Envs
@@ -37,7 +38,7 @@ class Bodies:
         self._source: Any = None
         self._tensors: tuple[Any, ...] = ()  # of poses and of velocities: bindings, and arrays that they are read into
         places = {body.name: index for index, body in enumerate(scene.moving())}
-        self._groups = [_range([places[name] for name in names]) for names in scene.groups().values()]
+        self._groups = [row_index([places[name] for name in names]) for names in scene.groups().values()]
         self.count = n_env * len(self._names)
 
     @property
@@ -161,12 +162,6 @@ class Bodies:
         for binding in self._tensors[:2]:
             binding.destroy()
         self._tensors = ()
-
-
-def _range(places: list[int]) -> slice | NDArray[np.int64]:
-    # a slice, if that is what they are, since it gives views
-    first, end = places[0], places[0] + len(places)
-    return slice(first, end) if places == list(range(first, end)) else np.array(places)
 
 
 def described(scene: Scene, origins: tuple[Vector, ...], n_env: int) -> NDArray[np.float32]:
