@@ -51,10 +51,10 @@ def pack(path: Path) -> bytes:
     """
     if path.suffix.lower() == ".mjb":
         raise UsageError(
-            f"{path} is a compiled model, which names no files; give the MJCF or URDF that it was made from"
+            f"{path} is a compiled model (.mjb), which cannot be recorded; give the MJCF or URDF that it was made from"
         )
     if path.exists() and not path.is_file():
-        raise UsageError(f"{path} is no file but a folder or a pipe; save the model, MJCF or URDF, in a file")
+        raise UsageError(f"{path} is a folder or a pipe; give a file with the model, MJCF or URDF")
     main = Path(os.path.abspath(path))
     found = _Search(main).files()
     root = Path(os.path.commonpath([file.parent for file in found]))

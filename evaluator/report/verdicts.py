@@ -84,7 +84,9 @@ def kept(results: Results) -> Cell:
     left = (*_unjudged(results), *_unmeasured(results))
     laws = plural(sum(isinstance(law, Law) or bool(law.key) for result in results for law in result.laws), "law")
     if broken:
-        return Cell("no", notes=(f"{broken} of {laws} broken", *left), tone=Tone.BAD, link="canonical")
+        return Cell(
+            "no", notes=(f"{broken} of {plural(len(found), 'law')} broken", *left), tone=Tone.BAD, link="canonical"
+        )
     held = f"{len(found)} of {laws}" if left else f"all {laws}"
     return Cell("yes", notes=(held, *left), tone=Tone.WARNING if left else Tone.GOOD, link="canonical")
 

@@ -348,8 +348,8 @@ def _warnings(result: GroupResult) -> list[str]:
     if not isinstance(changed.value, Missing) and changed.value:
         notes.append(
             f"timed and captured states differ at the same step in {changed.value:.0f} of {plural(changed.n, 'run')}, "
-            "though the runs repeat themselves: either the timed steps did other work than the captured ones, so that "
-            "the throughput is not that of these states, or capturing changes the states"
+            "although the runs are bit-identical: either the timed steps did other work than the captured steps (then "
+            "the throughput is not valid), or capturing changes the states; see how the adapter makes both"
         )
     notes += next((row.notes for row in result.fidelity.rows if row.check is Check.FINITE), ())
     if any(len(applied.sha256) > 1 for applied in result.validity.actions):

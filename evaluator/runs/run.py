@@ -96,7 +96,7 @@ class Run(Described):
     capture_s   from the first step of the capture to the last one's state on the host [s]
     stalled_s   part of that in which the engine stood still until states were written [s]
     histories   of the captured states by bits
-    observed    whether capturing changed the states, by the hashes of steps that timed and capture phase both passed
+    observed    whether timed and captured states agree, by the hashes of steps that timed and capture phase both passed
     positions   of the bodies of the outcome at the sample step
     joints      at the sample step
     reached     whether the sample step was recorded at all, whatever the states are

@@ -90,7 +90,7 @@ def warm_up_and_time(
         state = late.state(simulator, clocks, journal)
         hashes.append(fingerprint(state))
         journal.timing("timed", clocks, warmup, interval, covers)
-        # Two hashes at steps that the capture may pass as well: equal ones show that capturing changed nothing.
+        # Two hashes at steps that the capture may pass as well: equal ones show that both made the same states.
         declare_fingerprints(sink, "timed")
         write_fingerprints(sink, "timed", np.stack(hashes), first_step=warmup, stride=steps, dt=configuration.dt)
         _ask_finite(journal, state, configuration)
@@ -133,7 +133,8 @@ class _Late:
         if late_s > max(LATE_S, LATE_SHARE * self._timed_s):
             journal.gate(
                 f"the device went on for {late_s:.3g} s after {self._timed_s:.3g} s of timed steps: step() "
-                "returns before the device is done, so the clocks do not cover the work; synchronise in step()"
+                "returns before the device is done, so the clocks do not cover the work; synchronise in the "
+                "adapter's step()"
             )
         return state
 

@@ -116,7 +116,7 @@ def test_a_capture_that_changes_what_repeats_itself(tmp_path: Path) -> None:
     assert (metric.value, metric.n) == (3, 3)
     assert "runs changed by capturing" in text
     assert "| 3 of 3 |" in text
-    assert any("differ at the same step in 3 of 3 runs, though the runs repeat" in note for note in result.notes)
+    assert any("in 3 of 3 runs, although the runs are bit-identical" in note for note in result.notes)
 
 
 @pytest.mark.parametrize(

@@ -309,7 +309,7 @@ def test_what_is_no_model_file(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.xml"
     os.mkfifo(pipe)
     for other in (pipe, tmp_path):
-        with pytest.raises(UsageError, match="save the model, MJCF or URDF, in a file"):
+        with pytest.raises(UsageError, match="give a file with the model, MJCF or URDF"):
             pack(other)
 
 

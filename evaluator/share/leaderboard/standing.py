@@ -244,7 +244,7 @@ def _gates(result: GroupResult, entries: Sequence[Entry]) -> list[str]:
     gates += [f"{count} of {len(entries)} runs {status}" for status, count in ended.items()]
     changed, runs = result.metrics["capture_changes_states"], result.metrics["distinct_runs"]
     if known(changed.value) and runs.value == 1:  # of an engine that does not repeat itself it says nothing
-        gates.append(f"capturing changed the states in {words.count_of(changed)} runs")
+        gates.append(f"timed and captured states differ in {words.count_of(changed)} runs")
     return gates
 
 

@@ -126,8 +126,8 @@ class MujocoC(Simulator):
 
         if flag := remembers(self._compiled.model):
             raise Refused(
-                f"MuJoCo cannot save the state of a model with the flag {flag}, which needs more than the state has; "
-                f'set <flag {flag}="disable"/> in the model'
+                f"the state that MuJoCo saves of a model with the flag {flag} is incomplete, so a run that goes on "
+                f'from it differs; set <flag {flag}="disable"/> in the model'
             )
         return Snapshot(self._made, {name: self._worlds.read(name).copy() for name in self._worlds.state_names})
 
