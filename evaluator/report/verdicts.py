@@ -82,11 +82,10 @@ def kept(results: Results) -> Cell:
         return Cell(NOT_COMPARED, tone=Tone.QUIET)
     broken = sum(not law.held for law in found)
     left = (*_unjudged(results), *_unmeasured(results))
-    laws = plural(sum(isinstance(law, Law) or bool(law.key) for result in results for law in result.laws), "law")
     if broken:
-        return Cell(
-            "no", notes=(f"{broken} of {plural(len(found), 'law')} broken", *left), tone=Tone.BAD, link="canonical"
-        )
+        notes = (f"{broken} of {plural(len(found), 'law')} broken", *left)
+        return Cell("no", notes=notes, tone=Tone.BAD, link="canonical")
+    laws = plural(sum(isinstance(law, Law) or bool(law.key) for result in results for law in result.laws), "law")
     held = f"{len(found)} of {laws}" if left else f"all {laws}"
     return Cell("yes", notes=(held, *left), tone=Tone.WARNING if left else Tone.GOOD, link="canonical")
 

@@ -59,9 +59,8 @@ class FlightWriter:
         self._dt = dt
         self._failed = np.zeros(n_env, dtype=bool)
         self._counts: Counter[FailureKind] = Counter()
-        self._due: list[
-            tuple[int, int, FailureKind]
-        ] = []  # step, environment and kind of windows that are not written yet
+        # step, environment and kind of windows that are not written yet
+        self._due: list[tuple[int, int, FailureKind]] = []
         self._chosen = 0
         self._written: list[Any] = []
         self._first = ""

@@ -79,10 +79,12 @@ def write_applied(
     if actions is None:
         return
     seed, n_env, last_step = configuration.seed, configuration.n_env, first_step + n_step - 1
-    first, last = (
-        actions.draw(seed, n_env=n_env, first_step=step, n_step=1, streams=streams)[0]
-        for step in (first_step, last_step)
-    )
+
+    def row(step: int) -> NDArray[np.float32]:
+        found: NDArray[np.float32] = actions.draw(seed, n_env=n_env, first_step=step, n_step=1, streams=streams)[0]
+        return found
+
+    first, last = row(first_step), row(last_step)
     applied = simulator.applied()
     same = applied is not None and np.array_equal(applied, last)
     message = message_class("gsb.v1.ActionStream")(
@@ -99,11 +101,7 @@ def write_applied(
     journal.sink.write(topic, message.SerializeToString())
     if applied is not None and not same:
         wrong = int(np.count_nonzero((applied != last).any(axis=1))) if applied.shape == last.shape else n_env
-        before = (
-            actions.draw(seed, n_env=n_env, first_step=last_step - 1, n_step=1, streams=streams)[0]
-            if last_step
-            else None
-        )
+        before = row(last_step - 1) if last_step else None
         journal.gate(
             f"the engine's actions of step {last_step} are not those it was given, in {wrong} envs"
             f"{_taken_from(applied, last, before)}"

@@ -10,7 +10,7 @@ environments are brought back to their initial states, make the warm-up again, a
 until the windows together take a second. What is counted and hashed is of the first window; gates are asked after all.
 
 A step that returns before the device is done would be timed as fast as work is queued. The first reading of the state
-has to wait for such work: how much longer it takes than readings with no work to wait for is held against the clocks.
+has to wait for such work: how much longer it takes than a reading with no work to wait for is held against the clocks.
 """
 
 from __future__ import annotations
@@ -73,10 +73,8 @@ def warm_up_and_time(
         progress("warmup", 0, warmup)
         gc.collect()  # takes a good part of a second with some engines, so not before each window
         clocks = _step(simulator, warmup, interval)
-        simulator.state()  # waits for the warm-up, and compiles what reading a state needs
-        reading = time.perf_counter()
-        begun = simulator.state()
-        late = _Late(time.perf_counter() - reading)
+        begun = simulator.state()  # compiles what reading a state needs
+        late = _Late()
         hashes = [fingerprint(begun)]
         sampling.checkpoint("post-warmup")
     journal.timing("warmup", clocks, 0, interval, covers)
@@ -109,13 +107,9 @@ def warm_up_and_time(
 
 
 class _Late:
-    """Work of the timed steps that went on behind the last clocks of their windows.
+    """Work of the timed steps that went on behind the last clocks of their windows."""
 
-    reading_s  time that reading the state takes where there is nothing to wait for [s]
-    """
-
-    def __init__(self, reading_s: float) -> None:
-        self._reading_s = reading_s
+    def __init__(self) -> None:
         self._waits_s: list[float] = []  # of each window, by how much the first reading took longer than another
         self._timed_s = 0.0
 
@@ -124,9 +118,8 @@ class _Late:
         begun = time.perf_counter()
         state = simulator.state()
         read = time.perf_counter()
-        simulator.state()
-        again_s = time.perf_counter() - read
-        self._waits_s.append(read - begun - max(self._reading_s, again_s))
+        simulator.state()  # with nothing to wait for
+        self._waits_s.append((read - begun) - (time.perf_counter() - read))
         self._timed_s += _seconds(clocks)
         # the median: of a thousand short windows, readings that a pause made longer would add up
         late_s = statistics.median(self._waits_s) * len(self._waits_s)

@@ -14,6 +14,7 @@ import numpy as np
 from mujoco import mjtBias, mjtDyn, mjtEq, mjtGain, mjtGeom, mjtJoint, mjtObj, mjtTrn, mjtWrap
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.scenes.model import actuator_names
 from gpusimbench.schemas.imported import PARAMETERS, Imported, Values
 
 Read = Callable[[str], NDArray[Any]]
@@ -115,7 +116,6 @@ def of_c(model: Any) -> Imported:
 class _Reader:
     def __init__(self, model: Any, read: Read, names: Mapping[str, Sequence[str]]) -> None:
         self._model, self._read = model, read
-        actuators = range(len(model.actuator_trntype))
         self._body = _named(names.get("bodies") or [model.body(i).name or f"body{i}" for i in range(model.nbody)])
         self._joint = _named(
             names.get("joints") or [model.joint(i).name or self._joint_name(i) for i in range(model.njnt)]
@@ -125,7 +125,7 @@ class _Reader:
         )
         self._site = [model.site(i).name or f"site{i}" for i in range(model.nsite)]
         self._tendon = _named([model.tendon(i).name or f"tendon{i}" for i in range(model.ntendon)])
-        self._actuator = _named(names.get("actuators") or [model.actuator(i).name or f"actuator{i}" for i in actuators])
+        self._actuator = _named(names.get("actuators") or actuator_names(model))
         self.names: dict[str, tuple[str, ...]] = {
             "model": ("model",),
             "bodies": self._body,

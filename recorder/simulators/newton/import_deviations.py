@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.model import solver_options
+from gpusimbench.recorder.scenes.model import actuator_names, solver_options
 from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.recorder.simulators.newton.mujoco_terms import (
     SHOWN,
@@ -83,7 +83,7 @@ def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviatio
         raise Refused(f"SolverMuJoCo makes {made.nu} of the model's {model.nu} actuators{without}")
     reason = "so Newton's importer and SolverMuJoCo make it"
     yield from different_options(model, made, reason)
-    actuators = [model.actuator(a).name or f"actuator{a}" for a in range(model.nu)]
+    actuators = list(actuator_names(model))
     yield from _table("actuator", _ACTUATOR, actuators, model, made, reason)
     places = solver.mjc_jnt_to_newton_dof.numpy()[0]
     yield from _different_limits(model, made, imported, places, reason)
