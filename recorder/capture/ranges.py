@@ -8,13 +8,12 @@ from mmap import mmap
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.simulators.captured import BLOCK_BYTES, BLOCK_STEPS
 from gpusimbench.schemas.fields import StateField
 
-STEPS_PER_BLOCK = 50
 _ENV_BLOCK_MIN = 64
 _ENV_BLOCKS = 64
-_BLOCK_BYTES = 4 << 20
-_RING_BYTES = 128 << 20
+_MESSAGE_BYTES = 4 << 20
 _ALIGNED = 64  # bytes
 _GROUP = 4  # ranges of environments that a thread reads and looks at together
 
@@ -35,7 +34,7 @@ def row_bytes(n_env: int, fields: Sequence[StateField]) -> int:
 def steps_per_block(n_env: int, fields: Sequence[StateField]) -> int:
     """Rows per block, so that the largest message stays at about 4 MB, and a block of all environments at 128 MiB."""
     row = max(len(f.items) * f.width * np.dtype(f.dtype).itemsize for f in fields) * min(n_env, env_block(n_env))
-    return max(1, min(STEPS_PER_BLOCK, _BLOCK_BYTES // row, _RING_BYTES // row_bytes(n_env, fields)))
+    return max(1, min(BLOCK_STEPS, _MESSAGE_BYTES // row, BLOCK_BYTES // row_bytes(n_env, fields)))
 
 
 class Ranges:

@@ -13,6 +13,12 @@ from gpusimbench.recorder.simulators.evidence import Evidence, joined
 RING_BLOCKS = 3
 """Blocks of captured steps that the recorder holds at once: being made, on their way to the host, being written."""
 
+BLOCK_STEPS = 50
+"""The most steps of a block."""
+
+BLOCK_BYTES = 128 << 20
+"""The most bytes of states of a block, of all environments together; a block has one step at least."""
+
 States = tuple[NDArray[np.floating], ...]
 """One array per state field, in the order of Description.fields."""
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.recorder.capture.ranges import STEPS_PER_BLOCK
+from gpusimbench.recorder.simulators.captured import BLOCK_STEPS
 from gpusimbench.recorder.vector.device import states as of_states
 from gpusimbench.recorder.vector.device import tensors
 from gpusimbench.recorder.vector.device.log import HostLog
@@ -214,8 +214,8 @@ def record_rollout(
     log = HostLog(path, steps=steps, dt=given_or(dt, of_states.step_of(env)), about=about)
     try:
         log.append({name: np.asarray(array)[None] for name, array in begin.items()}, {})
-        for row in range(0, steps, STEPS_PER_BLOCK):
-            log.append({name: np.asarray(array[row : row + STEPS_PER_BLOCK]) for name, array in rows.items()}, {})
+        for row in range(0, steps, BLOCK_STEPS):
+            log.append({name: np.asarray(array[row : row + BLOCK_STEPS]) for name, array in rows.items()}, {})
     except BaseException as error:
         log.end(error)
         raise

@@ -134,7 +134,7 @@ def made(path: Path, case: Case) -> tuple[bytes, dict[str, str], list[str | None
 def test_the_bytes_are_those_of_threads(case: Case, tmp_path: Path, process: pytest.MonkeyPatch) -> None:
     """Write the same file, whoever works on the states."""
     process.setattr(sink, "calendar_ns", lambda: 7)
-    process.setattr(ranges, "_RING_BYTES", case.block_bytes)
+    process.setattr(ranges, "BLOCK_BYTES", case.block_bytes)
     process.setattr(states, "expect", lambda _: None)  # that this process loads machine code is not the question
     one = made(tmp_path / "process.mcap", case)
     process.setattr(work_process, "LEAST_CPUS", sys.maxsize)

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.actions import table
 from gpusimbench.recorder.simulators.base import Captured, Description, Simulator, States
+from gpusimbench.recorder.simulators.captured import BLOCK_BYTES, BLOCK_STEPS, RING_BLOCKS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
-from gpusimbench.recorder.simulators.jax.block import OVERFLOW, JaxBlock, evidence_of
+from gpusimbench.recorder.simulators.jax.block import OVERFLOW, JaxBlock, Rings, begin_copy, evidence_of
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, rows_of
 from gpusimbench.schemas.action_generator import JointTargets
 from gpusimbench.schemas.mixing import GOLDEN32, mix32
@@ -54,10 +55,6 @@ def device_draw(actions: JointTargets, *, seed: int) -> Callable[[Any, Any, Any]
         return (first + index.astype(jnp.int32)).astype(jnp.float32) * grid
 
     return draw
-
-
-_RING_BYTES = 256 << 20
-_RING_STEPS = 50
 
 
 @dataclass(frozen=True)
@@ -125,9 +122,9 @@ class JaxSimulator(Simulator):
         self._programs: dict[str, Any] = {}
         self._counted: Evidence | None = None  # of the last states; None: to be counted when asked
         self._restart()
-        row = sum(array.nbytes for array in self._seen().values())
-        fits = max(1, min(_RING_STEPS, _RING_BYTES // max(1, row)))
-        self._ring = self.options.ring or fits
+        # as many rows as a block of the recorder has: all of a ring is copied, filled or not
+        row = sum(array.nbytes for array in self.state())
+        self._ring = self.options.ring or max(1, min(BLOCK_STEPS, BLOCK_BYTES // max(1, row)))
         description.options["ring"] = self._ring
         return description
 
@@ -206,30 +203,41 @@ class JaxSimulator(Simulator):
     def _record(self, state: Any, first: Any, n_step: Any, *streams: Any) -> Any:
         """Traced: as _advance, with observations and counts of each step in rings of `_ring` rows."""
         import jax
-        import jax.numpy as jnp
-
-        def row(state: Any) -> dict[str, Any]:
-            return {"seen": self._physics.observe(state), "counts": self._physics.count(state)}
 
         def body(i: Any, carry: Any) -> Any:
             state, rings = carry
             state = self._one(state, first + i.astype(np.uint32), streams)
-            rings = jax.tree.map(lambda ring, value: ring.at[i].set(value), rings, row(state))
+            rings = jax.tree.map(lambda ring, value: ring.at[i].set(value), rings, self._row(state))
             return self._physics.forget(state), rings
 
-        shapes = jax.eval_shape(row, state)
-        rings = jax.tree.map(lambda shape: jnp.zeros((self._ring, *shape.shape), shape.dtype), shapes)
-        return jax.lax.fori_loop(0, n_step, body, (state, rings))
+        return jax.lax.fori_loop(0, n_step, body, (state, self._rings(state)))
+
+    def _row(self, state: Any) -> Rings:
+        # what a recording wants of one step
+        return {"seen": self._physics.observe(state), "counts": self._physics.count(state)}
+
+    def _rings(self, state: Any) -> Rings:
+        # as many empty rows as a ring has
+        import jax
+        import jax.numpy as jnp
+
+        shapes = jax.eval_shape(self._row, state)
+        rings: Rings = jax.tree.map(lambda shape: jnp.zeros((self._ring, *shape.shape), shape.dtype), shapes)
+        return rings
 
     def compile(self, phase: str) -> None:
         """See Simulator.compile; kernels that are built when they first run are run once, and the state made anew."""
+        import jax
+
         name = "advance" if phase == "timed" else "record"
         program = self._program(name)
         if name == "advance":
             self._program("count")
+        elif self._device.platform != "cpu":
+            # locking the pages of a block takes as long as ten steps; JAX keeps them for the blocks to come
+            rings = self._rings(self._state)
+            jax.block_until_ready([begin_copy(rings) for _ in range(RING_BLOCKS)])
         if self._physics.lazy:
-            import jax
-
             begun = self.snapshot()
             bits = (self._bits,) if name == "advance" else ()
             jax.block_until_ready(program(self._state, *bits, self._step, np.int32(1), *self._drawn_by()))

@@ -24,7 +24,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.base import Description
-from gpusimbench.recorder.simulators.captured import Captured, States
+from gpusimbench.recorder.simulators.captured import BLOCK_BYTES, BLOCK_STEPS, Captured, States
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import OF_MODELS, OF_THE_GPU, PhysxOptions, apis, broad_phase
 from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots, Slotted
@@ -34,9 +34,6 @@ from gpusimbench.recorder.simulators.warp.transfer import WarpSlots
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer
-
-_BLOCK_ROWS = 50
-_BLOCK_BYTES = 128 << 20
 
 
 class Physx(Slotted):
@@ -180,7 +177,7 @@ class Physx(Slotted):
         import warp as wp
 
         shape = self._source.row_shape
-        rows = max(1, min(n_step, _BLOCK_ROWS, _BLOCK_BYTES // (4 * math.prod(shape))))
+        rows = max(1, min(n_step, BLOCK_STEPS, BLOCK_BYTES // (4 * math.prod(shape))))
         if self._slots is None or self._slots.rows < rows:
             self._slots = WarpSlots(self._device, {"states": ((rows, *shape), wp.float32)})
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.capture.ranges import STEPS_PER_BLOCK
+from gpusimbench.recorder.simulators.captured import BLOCK_STEPS
 from gpusimbench.schemas.errors import DataLost, UsageError
 
 Arrays = Mapping[str, Any]
@@ -30,7 +30,7 @@ _BLOCK_BYTES = 128 << 20  # that a block may take on the device; images of many 
 
 # Blocks of small rows wait for more rows, at most so many, so long and of so many bytes: each block that is handed over
 # wakes two threads, which take the interpreter from the one that steps.
-_MOST_ROWS = 8 * STEPS_PER_BLOCK
+_MOST_ROWS = 8 * BLOCK_STEPS
 _WAIT_S = 0.25
 _WAIT_BYTES = 16 << 20
 
@@ -56,8 +56,8 @@ def _layout(row: Arrays) -> _Layout:
 
 def _rows_of(size: int) -> int:
     """How many rows of so many bytes a block has: whole blocks of the file, if one of them fits."""
-    least = max(1, min(STEPS_PER_BLOCK, _BLOCK_BYTES // size))
-    return max(least, min(_MOST_ROWS, _WAIT_BYTES // size // STEPS_PER_BLOCK * STEPS_PER_BLOCK))
+    least = max(1, min(BLOCK_STEPS, _BLOCK_BYTES // size))
+    return max(least, min(_MOST_ROWS, _WAIT_BYTES // size // BLOCK_STEPS * BLOCK_STEPS))
 
 
 class Rows(ABC):
@@ -79,7 +79,7 @@ class Rows(ABC):
         """Whether the block is to be taken before another row is kept: it has no room, or whole blocks of the file."""
         if self.filled == self._most:
             return True
-        whole = self.filled > 0 and self.filled % STEPS_PER_BLOCK == 0
+        whole = self.filled > 0 and self.filled % BLOCK_STEPS == 0
         return whole and time.monotonic() - self._since > _WAIT_S
 
     def keep(self, row: Arrays) -> None:
