@@ -8,6 +8,7 @@ from dataclasses import replace
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import name_of
 from gpusimbench.evaluator.probe.finding import verdict_of
+from gpusimbench.evaluator.read import known_errors
 from gpusimbench.evaluator.render.document import EMPTY, NONE, Block, Cell, Document, Facts, Text, Tone, facts, table
 from gpusimbench.evaluator.render.numbers import estimate
 from gpusimbench.evaluator.report import timed, words
@@ -165,6 +166,11 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
         speed = result.metrics[FPS.name]
         if (mean := known(speed.value)) is not None and (speeds := speed.of(Throughput).speeds):
             yield Text(f"{result.label}: {speeds.note(mean)}", Tone.WARNING)
+    errors: dict[str, list[str]] = {}
+    for result in results:
+        for said in known_errors.notes(result.group.recordings):
+            errors.setdefault(said, []).append(result.label)
+    yield from (Text(f"{few(of, _PASSED)}: {said}", Tone.WARNING) for said, of in errors.items())
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:
