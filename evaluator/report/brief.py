@@ -18,6 +18,7 @@ from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.sections.episodes import counts_of, mean_of
 from gpusimbench.evaluator.report.sections.scaling import sentence as sweep_sentence
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, meaning_of_cm, usual
+from gpusimbench.evaluator.results import growth
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -166,11 +167,11 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
         speed = result.metrics[FPS.name]
         if (mean := known(speed.value)) is not None and (speeds := speed.of(Throughput).speeds):
             yield Text(f"{result.label}: {speeds.note(mean)}", Tone.WARNING)
-    errors: dict[str, list[str]] = {}
+    notes: dict[str, list[str]] = {}
     for result in results:
-        for said in known_errors.notes(result.group.recordings):
-            errors.setdefault(said, []).append(result.label)
-    yield from (Text(f"{few(of, _PASSED)}: {said}", Tone.WARNING) for said, of in errors.items())
+        for note in (*growth.notes(result.group.complete), *known_errors.notes(result.group.recordings)):
+            notes.setdefault(note, []).append(result.label)
+    yield from (Text(f"{few(of, _PASSED)}: {note}", Tone.WARNING) for note, of in notes.items())
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:
