@@ -18,6 +18,7 @@ from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.finding import Answer, Finding
 from gpusimbench.evaluator.probe.questions import QUESTIONS, probed
+from gpusimbench.evaluator.read.known_errors import PREFIX, known_errors
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Cell
 from gpusimbench.evaluator.render.markdown import table_markdown
@@ -80,8 +81,18 @@ def verdicts(evaluation: Evaluation) -> str:
     """Who repeats itself and how far envs and runs are apart, and how fast it is, as two Markdown tables."""
     results = [r for r in evaluation.results if r.group.key.scene == _SCENE]
     results.sort(key=lambda r: (_who(r), r.group.key.determinism != DEFAULT))
-    remarks = timed.remarks(results, named=lambda r: f"{_who(r)} ({r.group.key.determinism})")
-    return "\n".join([*_sameness(results), "", *_speed(results), "", *(f"* {line}" for line in remarks)])
+    measured = [r for r in results if not isinstance(r.metrics["fps"].value, Missing)]
+    remarks = timed.remarks(measured, named=lambda r: f"{_who(r)} ({r.group.key.determinism})")
+    remarks += _known_errors(results)
+    return "\n".join([*_sameness(results), "", *_speed(measured, results), "", *(f"* {line}" for line in remarks)])
+
+
+def _known_errors(results: Sequence[GroupResult]) -> list[str]:
+    found: dict[str, list[str]] = {}
+    for result in results:
+        for error in {error for run in result.group.recordings for error in known_errors(run)}:
+            found.setdefault(error.said, []).append(f"{_who(result)} ({result.group.key.determinism})")
+    return [f"{PREFIX}{said}: {', '.join(dict.fromkeys(of))}" for said, of in found.items()]
 
 
 def _rows(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
@@ -118,9 +129,8 @@ def _sameness(results: Sequence[GroupResult]) -> list[str]:
     return _rows(titles, rows)
 
 
-def _speed(results: Sequence[GroupResult]) -> list[str]:
+def _speed(measured: Sequence[GroupResult], results: Sequence[GroupResult]) -> list[str]:
     prices = _prices(results)
-    measured = [r for r in results if not isinstance(r.metrics["fps"].value, Missing)]
     columns = timed.columns(r.timed for r in measured)
     titles = ("simulator", "determinism", "env-steps/s", *(column.title for column in columns), "of default")
     rows = []

@@ -19,7 +19,7 @@ from gpusimbench.evaluator.replays.document import warnings
 from gpusimbench.evaluator.replays.verdict import EpisodeVerdict, judge
 from gpusimbench.evaluator.statistics.cases import wilson
 from gpusimbench.recorder.vector.open_loop import replay
-from gpusimbench.recorder.vector.part import Part
+from gpusimbench.recorder.vector.part import GivenEpisode
 from gpusimbench.replay.origin import given, origin_of
 from gpusimbench.replay.parts import infos_of, parts_of, seed_of
 from tests.conftest import call, made_once, run_python
@@ -392,7 +392,7 @@ def test_actions_of_another_kind(tmp_path: Path) -> None:
 
 def test_parts_have_a_length() -> None:
     """Count the actions of an episode."""
-    assert len(Part({"action": np.zeros((4, 2))})) == 4
+    assert len(GivenEpisode({"action": np.zeros((4, 2))})) == 4
 
 
 def test_without_gymnasium_a_sentence_says_what_is_needed(tmp_path: Path) -> None:

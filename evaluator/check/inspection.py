@@ -15,6 +15,7 @@ from gpusimbench.evaluator.metrics.cotenants import Sign, cotenants
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
 from gpusimbench.evaluator.read.episodes import EpisodeCounts, count_episodes
 from gpusimbench.evaluator.read.failing import Failing
+from gpusimbench.evaluator.read.known_errors import known_errors
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.memory import gpu_memory
 from gpusimbench.schemas import topics
@@ -106,6 +107,7 @@ class Inspection:
     integrity    problems by kind, one sentence each; empty where nothing is wrong
     doubtful     attachments that are not what was recorded: what is told of them may be wrong
     verified     whether the digests and all else that needs the whole content were looked at
+    known_errors  of the recorder that made it: what is wrong in the file, a sentence each
     unread       what could not be read, and why
     unchecked    kinds of problems that were not looked for, or not everywhere, and why
     phases       that began and ended, with their durations [s]
@@ -155,6 +157,7 @@ class Inspection:
     view: tuple[int, ...] = ()
     attachments: dict[str, int] = field(default_factory=dict)
     doubtful: tuple[str, ...] = ()
+    known_errors: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
     unchecked: dict[str, str] = field(default_factory=dict)
 
@@ -177,6 +180,7 @@ def inspect(file: Integrity) -> Inspection:
         "provenance": file.provenance,
         "simulation": file.simulation,
         "doubtful": tuple(sorted(file.scan.doubtful)),
+        "known_errors": tuple(error.said for error in known_errors(recording)) if recording else _NONE,
         "attachments": {name: len(data) for name, data in file.scan.attachments.items()},
         "peak_rss_bytes": (int(file.end.peak_rss_bytes) or None) if file.end is not None else None,
     }

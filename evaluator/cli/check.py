@@ -20,9 +20,10 @@ exit codes:
   4  a rule is broken
 
 rules:
-  integrity-1, the default, is for any recording. --protocol adds the newest protocol, protocol-2, for runs of the
-  benchmark: timed steps, evidence of work, clock rates, number of runs, one machine and one version a point. --rules
-  takes a shipped set by its name, such as protocol-1 for older recordings, or a file.
+  integrity-1 and recorders-1, the default, are for any recording: whether the file is whole, and whether its recorder
+  had an error that was found later. --protocol adds the newest protocol, protocol-2, for runs of the benchmark: timed
+  steps, evidence of work, clock rates, number of runs, one machine and one version a point. --rules takes a shipped set
+  by its name, such as protocol-1 for older recordings, or a file.
 
 see also:
   gsb-info, which shows one file
@@ -56,7 +57,7 @@ def parser() -> argparse.ArgumentParser:
         action="append",
         type=local_name,
         metavar="NAME|FILE",
-        help="rule set instead of integrity-1; repeatable",
+        help="rule set instead of the default; repeatable",
     )
     p.add_argument("--all", action="store_true", help="list every finding of every file, by file")
     p.add_argument("--list-rules", action="store_true", help="show the rules, and what a file of rules can use")
@@ -67,11 +68,11 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace) -> int:
     """Check and print; returns the exit code."""
     from gpusimbench.evaluator.check.rules.findings import check
-    from gpusimbench.evaluator.check.rules.rule import PROTOCOL, SHIPPED, load_rules
+    from gpusimbench.evaluator.check.rules.rule import DEFAULT, PROTOCOL, SHIPPED, load_rules
     from gpusimbench.evaluator.report.check_document import check_document, dump_check, dump_rules, rules_document
 
     check_target(arguments.json)
-    names = arguments.rules or (SHIPPED if arguments.list_rules else ["integrity-1"])
+    names = arguments.rules or (SHIPPED if arguments.list_rules else DEFAULT)
     names = list(dict.fromkeys([*names, *([PROTOCOL] if arguments.protocol else [])]))
     rule_sets = [load_rules(name) for name in names]
     if arguments.list_rules:

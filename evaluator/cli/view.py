@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -128,8 +130,9 @@ def _page(clip: Clip, recordings: list[Recording], out: Path | None, command: st
 def _keep(text: str, recordings: list[Recording], out: Path | None, *, opened: bool) -> None:
     from gpusimbench.evaluator.player.programs import open_page
 
-    path = out or _folder() / f"{Path(recordings[0].path.name).stem}.html"
-    write_file(path, text)
+    with _folder() if out is None else nullcontext(out.parent) as folder:
+        path = out or folder / f"{Path(recordings[0].path.name).stem}.html"
+        write_file(path, text)
     _say(path)
     if opened and not open_page(path):
         complain("gsb-view", f"no browser can be opened from here; the page is {path}, open it in one")
@@ -139,7 +142,8 @@ def _elsewhere(program: Program, clip: Clip, recordings: list[Recording], spread
     from gpusimbench.evaluator.player.programs import start
     from gpusimbench.evaluator.player.viewer import views
 
-    files = views(recordings, clip, _folder(), spread=spread)
+    with _folder() as folder:
+        files = views(recordings, clip, folder, spread=spread)
     for recording, file in zip(recordings, files, strict=True):
         if file != recording.path:
             complain("gsb-view", f"{recording.path} lacks some of these for {program.value}; a view was written")
@@ -148,10 +152,20 @@ def _elsewhere(program: Program, clip: Clip, recordings: list[Recording], spread
         start(program, files)
 
 
-def _folder() -> Path:
+@contextmanager
+def _folder() -> Iterator[Path]:
+    """A new folder that stays, since what opens its files reads them later; an empty one does not stay."""
     import tempfile
 
-    return Path(tempfile.mkdtemp(prefix="gsb-view-"))  # left there: what opens it reads it later
+    from gpusimbench.schemas.scratch import making
+
+    with making():
+        folder = Path(tempfile.mkdtemp(prefix="gsb-view-"))
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):  # files are in it
+            folder.rmdir()
 
 
 def _say(path: Path) -> None:

@@ -23,7 +23,9 @@ from gpusimbench.evaluator.compare.sameness import all_alike, compare_arrays, co
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.inputs.sample_time import notes_on, read_sampled
+from gpusimbench.evaluator.read import known_errors
 from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.results import growth
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.evaluate import without_copies
 from gpusimbench.evaluator.results.group_runs import GroupRuns
@@ -295,7 +297,12 @@ def _compared(draft: _Draft, findings: list[Finding], alpha: float) -> ComparedC
     notes = [
         f"{name}: {note}"
         for name, side, runs in (("base", draft.pair.base, draft.base), ("head", draft.pair.head, draft.head))
-        for note in (*status_notes(side), *cotenant_notes(runs))
+        for note in (
+            *status_notes(side),
+            *growth.notes(runs),
+            *known_errors.notes(side.recordings),
+            *cotenant_notes(runs),
+        )
     ]
     notes += seeds_said(draft.base, draft.head)
     return ComparedConfiguration(

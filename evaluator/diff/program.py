@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gpusimbench.evaluator.diff.program_parts import Kind, Moment, Part, ProgramDifference, is_action
+from gpusimbench.evaluator.diff.program_parts import ComparedPart, Kind, Moment, ProgramDifference, is_action
 from gpusimbench.evaluator.diff.result import Divergence, FieldDifference
 from gpusimbench.evaluator.read.program import Updates
 from gpusimbench.evaluator.read.recording import Recording
@@ -61,34 +61,34 @@ def _states(recording: Recording) -> int:
 
 def _of_states(
     fields: Sequence[FieldDifference], first: Divergence | None, count_a: int, count_b: int
-) -> Iterator[Part]:
+) -> Iterator[ComparedPart]:
     # a capture's step is found by hashes where no state of it was recorded
     if first is not None and all(field.first_step != first.step_a for field in fields):
-        yield Part(Kind.SIMULATOR, "states", _RESET, count_a, count_b, Moment(first.step_a + 1, 0))
+        yield ComparedPart(Kind.SIMULATOR, "states", _RESET, count_a, count_b, Moment(first.step_a + 1, 0))
     for field in fields:
         kind, begin = (
             (Kind.ACTION, _STEP) if is_action(field.field) else (Kind.SIMULATOR, _RESET)
         )  # no action precedes the reset
         at = None if field.first_step is None else Moment(field.first_step + 1, 0)
-        yield Part(kind, field.field, begin, count_a, count_b, at)
+        yield ComparedPart(kind, field.field, begin, count_a, count_b, at)
 
 
-def _of_arrays(name: str, a: Updates, b: Updates) -> Part:
+def _of_arrays(name: str, a: Updates, b: Updates) -> ComparedPart:
     counts = len(a.order), len(b.order)
     begin = min(_moment(a, 0), _moment(b, 0), key=lambda moment: (moment.states, moment.order))
-    same = Part(Kind.PROGRAM, name, begin, *counts)
+    same = ComparedPart(Kind.PROGRAM, name, begin, *counts)
     for update in range(min(counts)):
         if a.states[update] != b.states[update]:
             early = min(a, b, key=lambda side: int(side.states[update]))
             reason = f"it follows {a.states[update]} states in a, {b.states[update]} in b"
-            return Part(Kind.PROGRAM, name, begin, *counts, _moment(early, update), update, reason=reason)
+            return ComparedPart(Kind.PROGRAM, name, begin, *counts, _moment(early, update), update, reason=reason)
         if arrays := _differing(a, b, update):
-            return Part(Kind.PROGRAM, name, begin, *counts, _moment(a, update), update, arrays)
+            return ComparedPart(Kind.PROGRAM, name, begin, *counts, _moment(a, update), update, arrays)
     if counts[0] == counts[1]:
         return same
     longer, update = max(a, b, key=lambda side: len(side.order)), min(counts)
     reason = f"a has {counts[0]} updates of it, b has {counts[1]}"
-    return Part(Kind.PROGRAM, name, begin, *counts, _moment(longer, update), update, reason=reason)
+    return ComparedPart(Kind.PROGRAM, name, begin, *counts, _moment(longer, update), update, reason=reason)
 
 
 def _moment(updates: Updates, update: int) -> Moment:
@@ -106,7 +106,7 @@ def _differing(a: Updates, b: Updates, update: int) -> tuple[str, ...]:
 
 
 def _last_same(
-    updates: dict[str, Updates], names: Sequence[str], parts: Sequence[Part], key: _Key, earliest: Part
+    updates: dict[str, Updates], names: Sequence[str], parts: Sequence[ComparedPart], key: _Key, earliest: ComparedPart
 ) -> str:
     """The last event before the first difference, in words; empty where there is none."""
     found: list[tuple[_Key, str]] = []

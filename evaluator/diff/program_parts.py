@@ -36,7 +36,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Part:
+class ComparedPart:
     """A state field, or the arrays of one name that a program hashed.
 
     kind      see Kind
@@ -73,8 +73,8 @@ class ProgramDifference:
     only_b       b likewise
     """
 
-    parts: tuple[Part, ...]
-    first: Part | None
+    parts: tuple[ComparedPart, ...]
+    first: ComparedPart | None
     same_before: tuple[str, ...]
     last_same: str
     only_a: tuple[str, ...]

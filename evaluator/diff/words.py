@@ -7,7 +7,7 @@ from itertools import groupby
 
 import numpy as np
 
-from gpusimbench.evaluator.diff.program_parts import Kind, Part, ProgramDifference
+from gpusimbench.evaluator.diff.program_parts import ComparedPart, Kind, ProgramDifference
 from gpusimbench.evaluator.diff.result import Change, Number
 from gpusimbench.evaluator.metrics.divergence import opposite_signs
 from gpusimbench.evaluator.render.document import Cell, Section, table
@@ -24,7 +24,7 @@ _NAME = 60
 _BARS = "▁▂▃▄▅▆▇█"
 
 
-def sentence(found: ProgramDifference, first: Part, who: str, dt: float) -> str:
+def sentence(found: ProgramDifference, first: ComparedPart, who: str, dt: float) -> str:
     """The verdict: "The runs part at update 12 of gradient, after step 640; until then, batch is the same".
 
     first  the part that differs first
@@ -47,7 +47,7 @@ def _listed(parts: list[str]) -> str:
     return " and ".join(filter(None, (", ".join(map(name, parts[:-1])), *parts[-1:])))
 
 
-def where(part: Part, dt: float) -> str:
+def where(part: ComparedPart, dt: float) -> str:
     """Where a part differs first: "at update 12 of gradient (gradient/w), after step 640 (3.2 s)".
 
     part  one that differs
@@ -60,7 +60,7 @@ def where(part: Part, dt: float) -> str:
     return f"at update {part.update} of {of}{'' if what == of else f' ({what})'}, {_when(part, dt)}"
 
 
-def _when(part: Part, dt: float) -> str:
+def _when(part: ComparedPart, dt: float) -> str:
     assert part.first is not None
     step = part.first.states - 1
     time = f"step {step} ({step * dt:g} s)"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.imports.audit import Audit, Landing
@@ -154,9 +155,9 @@ def _differences(audit: Audit) -> Iterator[list[Cell | str]]:
     if not isinstance(audit.poses, Missing):
         for link in audit.poses.wrong:
             if link.distance > MAX_DISTANCE:
-                apart = Cell(f"{link.distance:.3g} m", link.distance)
+                apart = _apart(link.distance, ".3g", "m")
             else:
-                apart = Cell(f"{link.angle:.3g} rad", link.angle)
+                apart = _apart(link.angle, ".3g", "rad")
             yield ["kinematics", link.link, "", "", apart]
     if not isinstance(audit.responses, Missing):
         for response in audit.responses.wrong:
@@ -167,7 +168,7 @@ def _finding_row(finding: ParameterDifference) -> list[Cell | str]:
     what = f"{finding.kind}, {finding.parameter}" if finding.parameter else finding.kind
     apart: Cell | str = _FALSE.get(finding.verdict, "")
     if finding.difference is not None:
-        apart = Cell(f"{finding.difference:.3g} {finding.unit}".rstrip(), finding.difference)
+        apart = _apart(finding.difference, ".3g", finding.unit)
     elif finding.verdict is ParameterFault.DIFFERS:
         apart = "differs"
     if finding.verdict is ParameterFault.LOST:
@@ -182,5 +183,12 @@ def _response_row(response: Response) -> list[Cell | str]:
         response.target,
         "",
         "",
-        Cell(f"{response.steps:.2g} time steps", response.steps),
+        _apart(response.steps, ".2g", "time steps"),
     ]
+
+
+def _apart(difference: float, spec: str, unit: str) -> Cell:
+    """A difference with its unit; infinite is one from a value that is not finite, or of another number of values."""
+    if not math.isfinite(difference):
+        return Cell("not finite")
+    return Cell(f"{difference:{spec}} {unit}".rstrip(), difference)

@@ -24,6 +24,7 @@ from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
 from gpusimbench.evaluator.read.stamp import Stamp, stamp_of
 from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.streams import Fingerprints, of_both_phases
+from gpusimbench.evaluator.runs.growth import course_of
 from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_memory
 from gpusimbench.evaluator.runs.outcome import outcome_of
 from gpusimbench.evaluator.runs.physics.depth import count_sunk
@@ -161,6 +162,7 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
         timed_from=timing["timed"].first_step if "timed" in timing else NOT_TIMED,
         cotenants=cotenants(gpu) if gpu else CoTenants(),
         episodes=count_episodes(recording) or Missing("no episodes of a task were recorded"),
+        course=course_of(recording),
         arrays=array_histories(recording),
     )
 

@@ -99,9 +99,10 @@ def _wrong(report: Report) -> str:
 
 def _by_rule(report: Report) -> Iterator[Item]:
     """An item for each broken rule: the first finding, how many more there are, and in which files."""
-    rules: dict[str, list[BrokenRule]] = {}
+    rules: dict[tuple[str, str], list[BrokenRule]] = {}
     for finding in report.findings:
-        rules.setdefault(finding.rule.id, []).append(finding)
+        kind = finding.found if FACTS[finding.rule.fact].apart else ""
+        rules.setdefault((finding.rule.id, kind), []).append(finding)
     for findings in sorted(rules.values(), key=lambda found: (found[0].rule.level.name, not found[0].rule.damage)):
         first, rule = findings[0], findings[0].rule
         others = sum(finding.found != first.found for finding in findings)

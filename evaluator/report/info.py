@@ -13,6 +13,7 @@ from gpusimbench.evaluator.json_values import brief, document_of, dump, plain
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
+from gpusimbench.evaluator.read.known_errors import PREFIX
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Facts, Table, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import scaled
 from gpusimbench.evaluator.report.sections.problems import counted, failing_table
@@ -108,6 +109,8 @@ def _entries(found: Inspection) -> Iterator[tuple[str, str]]:
             yield "integrity", f"! and {len(problems) - 2} more like it"
     if found.doubtful:
         yield "CAUTION", f"{', '.join(found.doubtful)} is not what was recorded; what follows from it may be wrong"
+    for said in found.known_errors:
+        yield "CAUTION", f"{PREFIX}{said}"
     yield "sha256", found.content_hash or "of the content: none, there is no end record"
     if found.provenance:
         yield from _who(found.provenance)

@@ -10,6 +10,7 @@ from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
 from gpusimbench.evaluator.metrics.throughput import frames_per_second, overhead
 from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.read.known_errors import wrong_time
 from gpusimbench.evaluator.results.aggregate import MEDIAN, Runs
 from gpusimbench.evaluator.results.details import (
     CaptureOverhead,
@@ -38,6 +39,8 @@ def _fps(run: Run) -> float | Missing:
     c = run.configuration
     if not (run.elapsed_s and run.timed_steps):
         return Missing("the timed phase was left out")
+    if wrong := wrong_time(run):
+        return Missing(wrong)
     return frames_per_second(c.n_env, run.timed_steps, run.elapsed_s)
 
 
@@ -208,6 +211,8 @@ def _overhead(run: Run) -> float | Missing:
     c = run.configuration
     if not (run.capture_s and run.elapsed_s and run.timed_steps):
         return Missing("timed and captured steps were not both clocked")
+    if wrong := wrong_time(run):
+        return Missing(wrong)
     return overhead(run.capture_s, c.captured_steps, run.elapsed_s, run.timed_steps)
 
 

@@ -19,8 +19,10 @@ from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer
 from gpusimbench.evaluator.probe.questions import Probed, answers
+from gpusimbench.evaluator.read import known_errors
 from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.results import growth
 from gpusimbench.evaluator.results.canonical import laws
 from gpusimbench.evaluator.results.convergence import convergences
 from gpusimbench.evaluator.results.density_maps import reference_density, shared_map, with_cloud
@@ -327,7 +329,7 @@ def _notes(group: Group[Run], runs: Sequence[Run], reference: Reference | Missin
         notes.append(f"positions are those at {sampled:g} s, the step nearest to {sample_time:g} s")
     if isinstance(reference, Reference) and reference.run_id in {r.provenance.run_id for r in runs}:
         notes.append("the reference is one of this group's own runs, whose distance of zero is part of the mean")
-    return [*notes, *memory.notes(runs)]
+    return [*notes, *growth.notes(runs), *known_errors.notes(group.recordings), *memory.notes(runs)]
 
 
 def _warnings(result: GroupResult) -> list[str]:

@@ -14,6 +14,7 @@ from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.read.step_evidence import ActionStream
+from gpusimbench.evaluator.runs.growth import Course
 from gpusimbench.evaluator.runs.physics.depth import Sunk
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.positions import JointSample, Positions
@@ -108,6 +109,7 @@ class Run(Described):
     timed_from  steps of the scene that were made before the first timed one
     cotenants   other processes on that device, as far as the recordings it was read with tell
     episodes    of the environments of a task, counted
+    course      of the timed phase, from its begin to its end
     arrays      of the program, by name; empty where it hashed none
     """
 
@@ -150,4 +152,5 @@ class Run(Described):
     timed_from: int | Missing = NOT_MEASURED
     cotenants: CoTenants = CoTenants()
     episodes: EpisodeCounts | Missing = NOT_MEASURED
+    course: Course | Missing = NOT_MEASURED
     arrays: dict[str, ArrayHistory] = field(default_factory=dict)

@@ -83,7 +83,17 @@ class Cluster:
         for name, value in _SETTINGS.items():
             os.environ.setdefault(name, value)
         logging.getLogger("ray").setLevel(logging.ERROR)
-        self._quiet.enter_context(redirect_stdout(OfMainThread(sys.stdout)))
+        with ExitStack() as quiet:  # closed if connecting fails or is interrupted
+            quiet.enter_context(redirect_stdout(OfMainThread(sys.stdout)))
+            self._connect(ray)
+            self._quiet = quiet.pop_all()
+        self._ray = ray
+        self._on_node = strategies.NodeAffinitySchedulingStrategy
+        ray.cloudpickle.register_pickle_by_value(agent)
+        self._agents = ray.remote(agent.Agent)
+        return self
+
+    def _connect(self, ray: Any) -> None:
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
         local: dict[str, Any] = {"include_dashboard": False, "object_store_memory": _STORE_BYTES}
         try:
@@ -94,16 +104,10 @@ class Cluster:
                 )  # fmt: skip
         except Exception as error:  # ConnectionError, RuntimeError for another version, ValueError, by Ray's version
             said = " ".join(str(error).split())
-            self._quiet.close()
             raise UsageError(f"no Ray cluster can be used at '{self._address}': {said}") from None
         finally:
             for number, handler in handlers.items():  # Ray sets one of its own
                 signal.signal(number, handler)
-        self._ray = ray
-        self._on_node = strategies.NodeAffinitySchedulingStrategy
-        ray.cloudpickle.register_pickle_by_value(agent)
-        self._agents = ray.remote(agent.Agent)
-        return self
 
     def __exit__(self, *details: object) -> None:
         # shielded, since processes of a local cluster would stay behind

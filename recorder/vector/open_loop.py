@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.vector.fields import field_of
 from gpusimbench.recorder.vector.infos import given
 from gpusimbench.recorder.vector.modes import Mode, mode_of
-from gpusimbench.recorder.vector.part import ACTION, Part, attachments
+from gpusimbench.recorder.vector.part import ACTION, GivenEpisode, attachments
 from gpusimbench.recorder.vector.starts import begin_at
 from gpusimbench.recorder.vector.wrap import wrap
 from gpusimbench.recorder.vector.wrapper import OF_MUJOCO, Recorded
@@ -29,7 +29,7 @@ _SHOWN = 8  # numbers of an action, in an error
 class _Place:
     """Where an environment is: which part, and how many of its actions were fed."""
 
-    parts: Sequence[Part]
+    parts: Sequence[GivenEpisode]
     part: int = 0
     step: int = 0
     ended: bool = False
@@ -40,7 +40,7 @@ class _Place:
         return self.ended or self.part >= len(self.parts) or self.step >= len(self.parts[self.part])
 
     @property
-    def next(self) -> Part | None:
+    def next(self) -> GivenEpisode | None:
         return self.parts[self.part] if self.part < len(self.parts) else None
 
     def take(self) -> dict[str, NDArray[Any]]:
@@ -58,7 +58,7 @@ class _Place:
 def replay(
     envs: Any,
     path: Path,
-    parts: Sequence[Sequence[Part]],
+    parts: Sequence[Sequence[GivenEpisode]],
     *,
     seed: Any,
     infos: Sequence[str] = (),
@@ -130,7 +130,7 @@ def _reset(envs: Any, places: Sequence[_Place]) -> None:
     envs.reset(options={"reset_mask": mask}, **({"seed": seeds} if seeded else {}))
 
 
-def _starts(places: Sequence[_Place]) -> dict[int, Part]:
+def _starts(places: Sequence[_Place]) -> dict[int, GivenEpisode]:
     return {env: place.next for env, place in enumerate(places) if place.next and place.next.state is not None}
 
 
@@ -144,7 +144,7 @@ class _Form:
             for name, value in leaves(self._sample, ACTION)
         ]
 
-    def check(self, parts: Iterable[Part]) -> None:
+    def check(self, parts: Iterable[GivenEpisode]) -> None:
         """UsageError where real numbers were recorded and the environment takes integers, or not those."""
         of_array = {name: array for part in parts for name, array in part.actions.items()}  # all of one dtype
         for name, value in leaves(self._sample, ACTION):

@@ -22,7 +22,7 @@ a whole state by their names in a recording."""
 
 
 @dataclass(frozen=True)
-class Part:
+class GivenEpisode:
     """What an environment is fed in one episode.
 
     actions  by the name of the array in a recording, [step, ...], in the dtype that the environment was given
@@ -40,7 +40,7 @@ class Part:
         return len(next(iter(self.actions.values()), ()))
 
 
-class Begun(Protocol):
+class EpisodeStart(Protocol):
     """An episode of which the seed of its reset and the model in which it begins are known; None where they are not."""
 
     @property
@@ -49,7 +49,7 @@ class Begun(Protocol):
     def model(self) -> str | None: ...
 
 
-def attachments(parts: Sequence[Sequence[Begun]]) -> dict[str, tuple[str, bytes]]:
+def attachments(parts: Sequence[Sequence[EpisodeStart]]) -> dict[str, tuple[str, bytes]]:
     """What a recording of episodes [env][episode] keeps of how each began: media type and bytes, by name.
 
     Empty where neither seeds nor models are known.

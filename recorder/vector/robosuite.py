@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 
 from gpusimbench.recorder.vector.origin import SUITED
-from gpusimbench.recorder.vector.part import Part
+from gpusimbench.recorder.vector.part import GivenEpisode
 from gpusimbench.schemas.errors import UsageError
 
 _UNSEEN = {
@@ -51,7 +51,7 @@ class Suited(gymnasium.Env):  # type: ignore[misc]
     Its info is success, as the task judges its present state. No episode is over.
     """
 
-    start: Part | None = None
+    start: GivenEpisode | None = None
 
     def __init__(self, env: Any, assets: Path) -> None:
         self._env, self._assets = env, assets
@@ -79,7 +79,7 @@ class Suited(gymnasium.Env):  # type: ignore[misc]
         """See Env.close."""
         self._env.close()
 
-    def _begin(self, start: Part, state: Any) -> None:
+    def _begin(self, start: GivenEpisode, state: Any) -> None:
         if start.model is not None:
             model = self._env.edit_model_xml(without_entities(start.model))  # with robosuite's folder on this machine
             self._env.reset_from_xml_string(own_files_only(model, self._assets))

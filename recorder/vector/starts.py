@@ -8,14 +8,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from gpusimbench.recorder.vector.part import Part, State
+from gpusimbench.recorder.vector.part import GivenEpisode, State
 from gpusimbench.schemas.errors import UsageError
 
 
 class Started(gymnasium.Wrapper):  # type: ignore[misc]
     """A task whose next reset ends in `start`, where that is given."""
 
-    start: Part | None = None
+    start: GivenEpisode | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """See Env.reset. UsageError where the task cannot be brought into the state."""
@@ -39,7 +39,7 @@ class Started(gymnasium.Wrapper):  # type: ignore[misc]
         return task._get_obs()
 
 
-def begin_at(envs: Any, starts: Mapping[int, Part]) -> None:
+def begin_at(envs: Any, starts: Mapping[int, GivenEpisode]) -> None:
     """Have the next reset of some environments end in a state; UsageError where that cannot be.
 
     starts  by the number of the environment

@@ -198,7 +198,7 @@ def record_rollout(
     of_states.check_state(states)
     names = names_of(infos)
     layout, alone = (
-        of_states.Layout(first, infos=names, physics=physics, full=of_states.cut_after(env), stacked=stacked)
+        of_states.RecordedArrays(first, infos=names, physics=physics, full=of_states.cut_after(env), stacked=stacked)
         for stacked in (True, False)
     )
     rows = layout.row(states, actions)

@@ -18,7 +18,7 @@ from gpusimbench.schemas.view.kinematics import ROBOT, Key, Link, Placed, produc
 from gpusimbench.schemas.view.shapes import IDENTITY
 
 
-class Part(NamedTuple):
+class MovingPart(NamedTuple):
     """What moves.
 
     name    of the body or link
@@ -39,7 +39,7 @@ class Frame:
     orientation  [row, 4], wxyz
     """
 
-    part: Part
+    part: MovingPart
     position: NDArray[np.float64]
     orientation: NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class Motion:
         turned = [f for f in map(self._turned, self._bodies) if f is not None]
         self.fields = tuple(dict.fromkeys((*self._bodies, *turned, *(joints if self._links else ()))))
         self._check()
-        free = [Part(name, field.group, None) for field in self._bodies for name in field.items]
+        free = [MovingPart(name, field.group, None) for field in self._bodies for name in field.items]
         self.parts = tuple(_parts(free, self._links))
         if self._coordinates is not None:
             self.fields = (qpos,)
@@ -143,11 +143,11 @@ def _of_joints(field: StateField) -> bool:
     return field.width == 1 if field.field == "qpos" else field.components == ("w", "x", "y", "z")
 
 
-def _parts(free: Sequence[Part], links: Sequence[Link]) -> Iterator[Part]:
+def _parts(free: Sequence[MovingPart], links: Sequence[Link]) -> Iterator[MovingPart]:
     yield from free
     known: dict[Key | None, int | None] = {None: None, **{(p.group, p.name): at for at, p in enumerate(free)}}
     for at, link in enumerate(links, len(free)):
         if link.parent not in known:
             raise DamagedRecording(f"no pose of the body that {link.name!r} hangs on was recorded")
-        yield Part(link.name, ROBOT, known[link.parent])
+        yield MovingPart(link.name, ROBOT, known[link.parent])
         known[ROBOT, link.name] = at

@@ -46,8 +46,9 @@ def test_a_whole_file(gsb_check: Command, small: Path) -> None:
     done = gsb_check(small)
     assert done.returncode == 0, done.stdout
     assert not done.stderr
-    verdict, status = done.stdout.splitlines()
-    assert verdict == f"PASSED: no error and no warning in {small.name} (rules: integrity-1)"
+    *lines, status = done.stdout.splitlines()
+    verdict = " ".join(" ".join(lines).split())
+    assert verdict == f"PASSED: no error and no warning in {small.name} (rules: integrity-1 and recorders-1)"
     assert re.fullmatch(r"the run is complete; \d+ rules met", status)
 
 
@@ -247,7 +248,7 @@ def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(path), "--json", "-"]) == ExitCode.DATA_LOST
     document = json.loads(capsys.readouterr().out)
     assert (document["schema_version"], document["exit_code"]) == (SCHEMA_VERSION, 3)
-    assert document["rule_sets"] == ["integrity-1"]
+    assert document["rule_sets"] == ["integrity-1", "recorders-1"]
     (finding,) = document["findings"]
     assert finding["rule"] == "no-dropouts"
     assert finding["files"] == [str(path)]
@@ -272,7 +273,7 @@ def test_files_without_findings_are_counted(gsb_check: Command, tmp_path: Path) 
         whole(tmp_path, name="other.mcap", status="FAILED", reason="it fell"),
     )
     assert gsb_check(good, other).stdout.splitlines() == [
-        "PASSED: no error and no warning in 2 files; 1 run not complete (rules: integrity-1)",
+        "PASSED: no error and no warning in 2 files; 1 run not complete (rules: integrity-1 and recorders-1)",
         "the run is failed: it fell (other.mcap)",
         "1 file without findings",
         "--all lists every finding of every file",
@@ -287,7 +288,7 @@ def test_the_verdict_names_a_damaged_file(gsb_check: Command, tmp_path: Path) ->
     good = whole(tmp_path, name="good.mcap")
     damaged = tmp_path / "damaged.mcap"
     damaged.write_bytes(BYTES["an attachment"][1](good.read_bytes()))
-    counts = r"\d+ errors?, 0 warnings \(rules: integrity-1\)"
+    counts = r"\d+ errors?, 0 warnings \(rules: integrity-1 and recorders-1\)"
     alone, beside = (gsb_check(*files).stdout.splitlines()[0] for files in ((damaged,), (good, damaged)))
     assert re.fullmatch(rf"FAILED: damaged\.mcap is damaged: {counts}", alone)
     assert re.fullmatch(rf"FAILED: 1 of 2 files is damaged \(damaged\.mcap\): {counts}", beside)
@@ -305,7 +306,7 @@ def test_a_warning_of_ten_files_is_one_line(gsb_check: Command, tmp_path: Path) 
         path = whole(tmp_path, run=run, name=f"run-{run}.mcap")
         path.write_bytes(BYTES["no CRC"][1](path.read_bytes()))
     short = gsb_check(tmp_path).stdout.splitlines()
-    assert short[0] == "PASSED: no error in 10 files, 10 warnings (rules: integrity-1)"
+    assert short[0] == "PASSED: no error in 10 files, 10 warnings (rules: integrity-1 and recorders-1)"
     assert [line for line in short if "crc-present" in line] == [
         "warning crc-present: the data section has no CRC (all 10 files)"
     ]
@@ -418,7 +419,7 @@ def test_a_bad_file_of_rules(change: tuple[str, str], message: str, tmp_path: Pa
         ((), "name the recordings"),
         (
             ("a.mcap", "--rules", "integrity-9"),
-            "is no rule set (integrity-1, protocol-1, protocol-2), and",
+            "is no rule set (integrity-1, recorders-1, protocol-1, protocol-2), and",
         ),
         (("a.mcap", "--rules", "."), "is no rule set"),
         (("a.mcap", "--rules", "/dev/zero"), "larger than a file of rules can be|not a text"),

@@ -10,9 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gpusimbench.evaluator.imports.audit import Audit
 from gpusimbench.evaluator.imports.motion import MAX_DISTANCE, Poses, Responses, poses, responses
 from gpusimbench.evaluator.imports.parameters import ComparedKind, ParameterDifference, ParameterFault, compare
+from gpusimbench.evaluator.imports.sections import import_document
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.markdown import render_markdown
 from gpusimbench.recorder.run.import_phase import tried
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model import ModelScene, compiled, model_scene
@@ -384,6 +387,13 @@ def test_what_a_stranger_may_write(reference: Held) -> None:
     nothing = {name: np.full_like(array, np.nan) for name, array in trials.velocity.items()}
     found_responses = responses(trials, Trials(**{**vars(trials), "velocity": nothing}), items)
     assert isinstance(found_responses, Responses) and len(found_responses.wrong) == 9
+    audit = Audit(
+        "stranger", "1", "cpu", (), "arm.xml", same_file=True, file=None, missing="", kinds=(),
+        responses=found_responses, poses=Missing("not tried"), landings=Missing("not tried"),
+    )  # fmt: skip
+    said = render_markdown(import_document([audit], every=True))
+    assert "not finite" in said
+    assert "inf time steps" not in said
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.diff.compare import compare
-from gpusimbench.evaluator.diff.program_parts import Kind, Part
+from gpusimbench.evaluator.diff.program_parts import ComparedPart, Kind
 from gpusimbench.evaluator.diff.result import Difference, DiffVerdict
 from gpusimbench.evaluator.diff.verdict import verdict_of
 from gpusimbench.evaluator.read.recording import Recording
@@ -76,7 +76,7 @@ def beside(plain: Recording, folder: Path, plant: Plant, **others: Any) -> Diffe
     return compare(plain, train(folder / "b.mcap", plant, **others))
 
 
-def first_of(found: Difference) -> Part:
+def first_of(found: Difference) -> ComparedPart:
     """The part that differs first."""
     assert found.program is not None
     assert found.program.first is not None

@@ -105,11 +105,14 @@ def test_a_viewer_is_given_the_environments_that_are_named(small: Path, tmp_path
     """Give a program the recording where its view is of what is shown, and else a view of that."""
     given = program(tmp_path, "rerun")
     for env, itself in ((0, True), (2, False)):
-        done = view(small, "--with", "rerun", "--env", env, "--no-open", PATH=f"{tmp_path}:/usr/bin:/bin")
+        done = view(
+            small, "--with", "rerun", "--env", env, "--no-open", PATH=f"{tmp_path}:/usr/bin:/bin", TMPDIR=str(tmp_path)
+        )  # fmt: skip
         assert done.returncode == 0, done.stderr
         assert f"Shown: env {env}." in done.stderr
         assert (done.stdout.strip() == str(small)) is itself
         assert ("a view was written" in done.stderr) is not itself
+        assert any(tmp_path.glob("gsb-view-*")) is not itself  # no folder is left that nothing was written to
     assert not given.exists()
 
 

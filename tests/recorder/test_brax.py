@@ -43,6 +43,8 @@ def test_materials_as_brax_takes_them() -> None:
     simulator, description = build(PAIR, solver="spring", baumgarte_erp=0.2)
     assert description.options["baumgarte_erp"] == 0.2
     assert description.options["solver"] == "spring"
+    # by this, gsb-eval tells recordings whose timed steps searched for collisions once
+    assert "from the contacts that the step found" in description.timing_covers
     said = {deviation.parameter: deviation.used for deviation in description.deviations}
     assert said["contact.friction_combination"] == "the larger coefficient of the two"
     assert said["contact.restitution_combination"] == "the mean of the two coefficients"

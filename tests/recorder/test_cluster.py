@@ -539,6 +539,25 @@ def _processes() -> list[str]:
 # What cannot be
 
 
+@pytest.mark.parametrize("error", ["KeyboardInterrupt", "ConnectionError"])
+def test_a_connection_that_is_not_made(error: str) -> None:
+    """Leave the standard output as it was if connecting fails or is interrupted."""
+    pytest.importorskip("ray")
+    code = (
+        "import sys, ray\n"
+        "from gpusimbench.recorder.cluster.connection import Cluster\n"
+        "def init(**_):\n"
+        f"    raise {error}\n"
+        "ray.init, before = init, sys.stdout\n"
+        "try:\n"
+        "    Cluster('local').__enter__()\n"
+        "except BaseException as error:\n"
+        "    print(type(error).__name__, sys.stdout is before)\n"
+    )
+    said = {"KeyboardInterrupt": "KeyboardInterrupt True", "ConnectionError": "UsageError True"}
+    assert run_python(code).stdout.splitlines() == [said[error]]
+
+
 def test_without_ray(tmp_path: Path) -> None:
     """Say how to get Ray where it is not installed."""
     (tmp_path / "ray.py").write_text("raise ImportError('no ray')\n")

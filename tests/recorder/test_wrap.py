@@ -330,12 +330,12 @@ def test_what_cannot_be_wrapped(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_other_libraries_are_not_loaded() -> None:
+def test_other_libraries_are_not_loaded(tmp_path: Path) -> None:
     """Record environments of Gymnasium without JAX and torch, which may be installed for other things."""
     code = (
-        "import sys, tempfile, gymnasium, gpusimbench\n"
+        "import sys, gymnasium, gpusimbench\n"
         "envs = gymnasium.make_vec('CartPole-v1', num_envs=2)\n"
-        "with gpusimbench.wrap(envs, tempfile.mkdtemp() + '/a.mcap', steps=1) as envs:\n"
+        f"with gpusimbench.wrap(envs, {str(tmp_path / 'a.mcap')!r}, steps=1) as envs:\n"
         "    envs.reset()\n"
         "    envs.step(envs.action_space.sample())\n"
         "print({'jax', 'torch', 'brax'} & set(sys.modules))"

@@ -23,7 +23,7 @@ from gpusimbench.evaluator.read.episodes import count_episodes, episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.device import rows
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
-from gpusimbench.recorder.vector.device.states import Layout, seeds_of
+from gpusimbench.recorder.vector.device.states import RecordedArrays, seeds_of
 from gpusimbench.schemas.images import image_hashes
 from tests.conftest import run_python
 from tests.recorder.engines import needed
@@ -214,7 +214,7 @@ def test_steps_start_no_function_for_what_is_not_there() -> None:
     """Where states tell no truncation, the zeros that stand for it are made once."""
     state = falling(reset=False).reset(keys())
     silent = state.replace(info={name: array for name, array in state.info.items() if name != "truncation"})
-    layout = Layout(silent, infos=(), physics=False)
+    layout = RecordedArrays(silent, infos=(), physics=False)
     first, second = (layout.row(silent, drawn(1)[0])["truncation"] for _ in range(2))
     assert first is second
     assert not np.asarray(first).any()

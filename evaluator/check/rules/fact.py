@@ -43,11 +43,13 @@ class Fact:
 
     meaning  one sentence; of numbers with their unit in brackets at its end
     read     raises NotThere, or an error of the file, where it cannot be told
+    apart    whether each item of a list is a finding of its own, the same in every file that has it
     """
 
     type: FactType
     meaning: str
     read: Callable[[Integrity], Any]
+    apart: bool = False
 
     @property
     def unit(self) -> str:

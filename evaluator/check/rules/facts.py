@@ -27,6 +27,7 @@ from gpusimbench.evaluator.check.rules.fact import (
 )
 from gpusimbench.evaluator.check.rules.work_facts import WORK_FACTS
 from gpusimbench.evaluator.json_values import brief
+from gpusimbench.evaluator.read.known_errors import known_errors
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
 from gpusimbench.schemas.provenance import PACKAGES, REAL
@@ -218,6 +219,12 @@ FACTS: dict[str, Fact] = {
     "engine": Fact(FactType.object, "version, device, options and switches in force, scene", _engine),
     "recorder_commit": Fact(
         FactType.text, "git commit of the recorder, or empty", lambda f: str(brief(_recorder(f).get("commit")) or "")
+    ),
+    "known_errors": Fact(
+        FactType.list,
+        "errors of the recorder that were found later, and that the file shows",
+        lambda f: tuple(error.said for error in known_errors(described_of(f))),
+        apart=True,
     ),
     "recorder_modified": Fact(FactType.flag, "the recorder's checkout had changes", _modified),
 }

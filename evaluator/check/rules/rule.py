@@ -17,7 +17,10 @@ from gpusimbench.schemas.errors import UsageError
 PROTOCOL = "protocol-2"
 """The newest version of the benchmark's protocol: what is asked for where no version is named."""
 
-SHIPPED = ("integrity-1", "protocol-1", PROTOCOL)
+DEFAULT = ("integrity-1", "recorders-1")
+"""Rule sets that are for any recording: what is asked for where none is named."""
+
+SHIPPED = (*DEFAULT, "protocol-1", PROTOCOL)
 """Rule sets that come with the package."""
 
 _MAX_BYTES = 1 << 20

@@ -280,7 +280,8 @@ def _explained() -> Iterator[str]:
         "A run that is INVALID, or that breaks a rule of integrity-1, leaves its row without a place, and so do states "
         "that break a check of mechanics, which is made where states were captured. Either holds for the same engine "
         "in every scene. Runs that failed are named. A throughput that breaks a rule of "
-        f"{PROTOCOL} on the timed window or on evidence of work has no place: the world may have been at rest."
+        f"{PROTOCOL} on the timed window or on evidence of work has no place: the world may have been at rest. Neither "
+        "has a throughput that is wrong by an error of the recorder that was found later."
     )
     yield (
         "Intervals are 95 %, over runs. A row is not shown to be slower than the row above it where the interval of "

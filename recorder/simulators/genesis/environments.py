@@ -113,7 +113,12 @@ def on_device(values: NDArray[np.floating]) -> Any:
 
 
 def empty_scene(
-    genesis: Any, gravity: tuple[float, float, float], dt: float, options: GenesisOptions, sizes: Sizes, **more: Any
+    genesis: Any,
+    gravity: tuple[float, float, float],
+    dt: float,
+    options: GenesisOptions,
+    sizes: GenesisSizes,
+    **more: Any,
 ) -> Any:
     """A genesis.Scene without entities on the initialised engine; `more` as of genesis.options.RigidOptions."""
     return genesis.Scene(
@@ -124,7 +129,7 @@ def empty_scene(
     )
 
 
-def _rigid_options(genesis: Any, options: GenesisOptions, sizes: Sizes) -> dict[str, Any]:
+def _rigid_options(genesis: Any, options: GenesisOptions, sizes: GenesisSizes) -> dict[str, Any]:
     chosen: dict[str, Any] = {
         "integrator": genesis.integrator[options.integrator],
         "constraint_solver": genesis.constraint_solver[options.solver],
@@ -153,7 +158,7 @@ def _rigid_options(genesis: Any, options: GenesisOptions, sizes: Sizes) -> dict[
 
 
 @dataclass(frozen=True)
-class Sizes:
+class GenesisSizes:
     """Room in one environment.
 
     pairs        colliding pairs of shapes
@@ -168,14 +173,14 @@ class Sizes:
     contacts_by: str
 
 
-def choose_sizes(compiled: MjcfModel, *, dt: float, seed: int, options: GenesisOptions) -> Sizes:
+def choose_sizes(compiled: MjcfModel, *, dt: float, seed: int, options: GenesisOptions) -> GenesisSizes:
     """Room for what MuJoCo C needs of the same scene, and a margin; options that ask for a size get it.
 
     Pairs are those whose bounding spheres overlap, which are more than those that touch.
     """
     need = measure(compiled, dt=dt, seed=seed)
     of_contacts = replace(need, margin=max(_MARGIN, need.margin))
-    return Sizes(
+    return GenesisSizes(
         pairs=options.max_collision_pairs or need.size(need.pairs),
         contacts=options.max_contacts or of_contacts.size(need.contacts),
         pairs_by="asked for" if options.max_collision_pairs else need.sized_by(need.pairs),

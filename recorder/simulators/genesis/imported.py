@@ -20,7 +20,13 @@ from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.genesis.controls import Controls
-from gpusimbench.recorder.simulators.genesis.environments import Drive, Environments, Sizes, empty_scene, on_device
+from gpusimbench.recorder.simulators.genesis.environments import (
+    Drive,
+    Environments,
+    GenesisSizes,
+    empty_scene,
+    on_device,
+)
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, collides, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import own_options
@@ -138,7 +144,7 @@ def compile_model(scene: ModelScene, *, dt: float) -> MjcfModel:
 
 
 def build_model(
-    genesis: Any, compiled: MjcfModel, *, n_env: int, dt: float, options: GenesisOptions, sizes: Sizes
+    genesis: Any, compiled: MjcfModel, *, n_env: int, dt: float, options: GenesisOptions, sizes: GenesisSizes
 ) -> ModelEnvironments:
     """Build n_env environments of a compiled model in its initial state on the initialised engine.
 

@@ -17,7 +17,7 @@ from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.genesis.environments import (
     Drive,
     Environments,
-    Sizes,
+    GenesisSizes,
     empty_scene,
     index_of,
     on_device,
@@ -139,7 +139,7 @@ class SceneEnvironments(Environments):
 
 
 def build_scene(
-    genesis: Any, scene: Scene, *, n_env: int, dt: float, options: GenesisOptions, sizes: Sizes
+    genesis: Any, scene: Scene, *, n_env: int, dt: float, options: GenesisOptions, sizes: GenesisSizes
 ) -> SceneEnvironments:
     """Build n_env environments of a registered scene in its initial state on the initialised engine.
 

@@ -30,7 +30,7 @@ from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 
 if TYPE_CHECKING:
-    from gpusimbench.recorder.simulators.genesis.environments import Sizes
+    from gpusimbench.recorder.simulators.genesis.environments import GenesisSizes
 
 _SLOT_ROWS = 50
 _SLOT_BYTES = 256 << 20  # the recorder asks for blocks of at most 128 MiB of states; counts come on top
@@ -130,7 +130,7 @@ class Genesis(Slotted):
             return compile_model(self.scene, dt=self.dt)
         return compile_scene(self.scene, dt=self.dt, options=MjcfOptions(cone=options.cone))
 
-    def _make(self, compiled: Any, options: GenesisOptions) -> Sizes:
+    def _make(self, compiled: Any, options: GenesisOptions) -> GenesisSizes:
         """Build the environments; how much room their contacts have."""
         from gpusimbench.recorder.simulators.genesis.environments import choose_sizes
 

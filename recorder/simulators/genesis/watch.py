@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS
-from gpusimbench.recorder.simulators.genesis.environments import Sizes
+from gpusimbench.recorder.simulators.genesis.environments import GenesisSizes
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 BROAD_PAIRS = Counter("broad_phase_pairs", "pairs of shapes that the broad phase let through")
@@ -94,7 +94,7 @@ class Watch:
         return []
 
 
-def buffers(solver: Any, sizes: Sizes) -> tuple[Buffer, ...]:
+def buffers(solver: Any, sizes: GenesisSizes) -> tuple[Buffer, ...]:
     """The capacities that the built solver has."""
     info = solver.collider.collider_info
     return (

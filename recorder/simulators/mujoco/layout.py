@@ -18,7 +18,7 @@ Wide = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Part(ABC):
+class StateGroup(ABC):
     """A group of bodies or joints of one kind.
 
     widths            numbers of an item in qpos and in qvel
@@ -60,43 +60,43 @@ class Part(ABC):
 
 
 @dataclass(frozen=True)
-class FreeBodies(Part):
+class FreeBodies(StateGroup):
     """Bodies on free joints. qpos: position, orientation wxyz; qvel: linear velocity in the world's frame, angular
     velocity in the body's."""
 
     widths = (7, 6)
 
     def fields(self, dtype: str) -> tuple[StateField, ...]:
-        """See Part.fields."""
+        """See StateGroup.fields."""
         note = "rotated by the recorder from the body's frame, in which MuJoCo holds it"
         return body_fields({self.group: self.names}, dtype, {"angular_velocity": note})
 
     def split(self, qpos: Array, qvel: Array) -> list[Array]:
-        """See Part.split."""
+        """See StateGroup.split."""
         pose, velocity = _picked(qpos, self.at_qpos), _picked(qvel, self.at_qvel)
         turning = rotate_to_world(pose[..., 3:], velocity[..., 3:])
         return [pose[..., :3], pose[..., 3:], velocity[..., :3], turning]
 
     def join(self, arrays: Iterator[Wide], qpos: Wide, qvel: Wide) -> None:
-        """See Part.join."""
+        """See StateGroup.join."""
         position, orientation, linear, angular = (next(arrays) for _ in range(4))
         qpos[:, self.at_qpos] = np.concatenate([position, orientation], axis=-1)
         qvel[:, self.at_qvel] = np.concatenate([linear, rotate_to_body(orientation, angular)], axis=-1)
 
     def coordinates(self) -> Places:
-        """See Part.coordinates."""
+        """See StateGroup.coordinates."""
         return self.at_qpos[:, :3].ravel()
 
 
-class InJointSpace(Part):
+class InJointSpace(StateGroup):
     """Joints, as MuJoCo holds them."""
 
     def split(self, qpos: Array, qvel: Array) -> list[Array]:
-        """See Part.split."""
+        """See StateGroup.split."""
         return [_picked(qpos, self.at_qpos), _picked(qvel, self.at_qvel)]
 
     def join(self, arrays: Iterator[Wide], qpos: Wide, qvel: Wide) -> None:
-        """See Part.join."""
+        """See StateGroup.join."""
         qpos[:, self.at_qpos], qvel[:, self.at_qvel] = next(arrays), next(arrays)
 
 
@@ -111,7 +111,7 @@ class Joints(InJointSpace):
     slides: frozenset[str] = frozenset()
 
     def fields(self, dtype: str) -> tuple[StateField, ...]:
-        """See Part.fields."""
+        """See StateGroup.fields."""
         return tuple(joint_field(self.group, name, dtype, self.names, slides=self.slides) for name in ("qpos", "qvel"))
 
 
@@ -122,7 +122,7 @@ class Balls(InJointSpace):
     widths = (4, 3)
 
     def fields(self, dtype: str) -> tuple[StateField, ...]:
-        """See Part.fields."""
+        """See StateGroup.fields."""
         return ball_fields(self.group, dtype, self.names)
 
 

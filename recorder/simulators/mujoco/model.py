@@ -25,7 +25,7 @@ from gpusimbench.recorder.scenes.model import (
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.mujoco.geometry import geometry_of
-from gpusimbench.recorder.simulators.mujoco.layout import Balls, FreeBodies, Joints, Part, rotate_to_body
+from gpusimbench.recorder.simulators.mujoco.layout import Balls, FreeBodies, Joints, StateGroup, rotate_to_body
 from gpusimbench.recorder.simulators.mujoco.options import GEOM_ATTRIBUTES, OPTION_ATTRIBUTES, MjcfOptions
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
@@ -58,7 +58,7 @@ class MjcfModel:
     model: Any
     qpos0: NDArray[np.float64]
     qvel0: NDArray[np.float64]
-    layout: tuple[Part, ...]
+    layout: tuple[StateGroup, ...]
 
     @property
     def attachments(self) -> dict[str, tuple[str, bytes]]:
@@ -167,7 +167,7 @@ def compile_scene(
         start = model.joint(body.name).dofadr[0]
         qvel0[start : start + 3] = body.linear_velocity
         qvel0[start + 3 : start + _QVEL] = rotate_to_body(np.array(body.orientation), np.array(body.angular_velocity))
-    layout: list[Part] = [
+    layout: list[StateGroup] = [
         FreeBodies.of(model, group, names, [model.joint(name).id for name in names])
         for group, names in scene.groups().items()
     ]
@@ -195,7 +195,7 @@ def _compile_files(scene: ModelScene, *, dt: float, options: MjcfOptions, numeri
     slides = frozenset(joint.name for joint in scene.joints if joint.slides)
     free, balls = moving(model, kinds.mjJNT_FREE), moving(model, kinds.mjJNT_BALL)
     single = moving(model, kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE)
-    parts: list[Part] = [
+    parts: list[StateGroup] = [
         FreeBodies.of(model, BODIES, free.names, free.joints),
         Joints.of(model, JOINTS, single.names, single.joints, slides=slides),
         Balls.of(model, BALLS, balls.names, balls.joints),

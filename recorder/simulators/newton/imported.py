@@ -16,7 +16,7 @@ from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.mujoco.drives import disabled
-from gpusimbench.recorder.simulators.mujoco.layout import Balls, FreeBodies, Joints, Part
+from gpusimbench.recorder.simulators.mujoco.layout import Balls, FreeBodies, Joints, StateGroup
 from gpusimbench.recorder.simulators.mujoco.model import SCENE_FILE, MjcfModel
 from gpusimbench.recorder.simulators.newton.layout import ModelLayout, NewtonBalls, NewtonFreeBodies, NewtonJoints
 from gpusimbench.schemas.model_files import unpack
@@ -182,7 +182,7 @@ def _layout(
     at_qd: NDArray[np.int64],
 ) -> ModelLayout:
     model = compiled.model
-    parts: list[Part] = []
+    parts: list[StateGroup] = []
     for part in compiled.layout:
         addresses = np.asarray(model.jnt_qposadr)
         joints = [int(np.flatnonzero(addresses == first)[0]) for first in part.at_qpos[:, 0]]

@@ -16,7 +16,7 @@ from gpusimbench.recorder.simulators.mujoco.layout import (
     Balls,
     FreeBodies,
     Joints,
-    Part,
+    StateGroup,
     Wide,
     rotate_to_world,
 )
@@ -96,7 +96,7 @@ class ModelLayout(Layout):
 
     names = ("joint_q", "joint_qd")
 
-    def __init__(self, parts: tuple[Part, ...], joint_q: Wide, joint_qd: Wide) -> None:
+    def __init__(self, parts: tuple[StateGroup, ...], joint_q: Wide, joint_qd: Wide) -> None:
         self.parts, self.joint_q, self.joint_qd = parts, joint_q, joint_qd
 
     def fields(self) -> tuple[StateField, ...]:
@@ -130,19 +130,19 @@ class NewtonFreeBodies(FreeBodies):
     engine: str = "Newton"
 
     def fields(self, dtype: str) -> tuple[StateField, ...]:
-        """See Part.fields."""
+        """See StateGroup.fields."""
         note = f"of the body's frame, made by the recorder from {self.engine}'s, which is of the centre of mass"
         notes = {"orientation": _reordered(self.engine), "linear_velocity": note}
         return body_fields({self.group: self.names}, dtype, notes)
 
     def split(self, qpos: Array, qvel: Array) -> list[Array]:
-        """See Part.split."""
+        """See StateGroup.split."""
         pose, velocity = qpos[..., self.at_qpos], qvel[..., self.at_qvel]
         orientation, turning = pose[..., 3:][..., _TO_WXYZ], velocity[..., 3:]
         return [pose[..., :3], orientation, velocity[..., :3] - self._offset(orientation, turning), turning]
 
     def join(self, arrays: Iterator[Wide], qpos: Wide, qvel: Wide) -> None:
-        """See Part.join."""
+        """See StateGroup.join."""
         position, orientation, linear, angular = (next(arrays) for _ in range(4))
         qpos[:, self.at_qpos] = np.concatenate([position, orientation[..., _TO_XYZW]], axis=-1)
         qvel[:, self.at_qvel] = np.concatenate([linear + self._offset(orientation, angular), angular], axis=-1)
@@ -163,12 +163,12 @@ class NewtonJoints(Joints):
     reference: NDArray[np.float32] = field(default_factory=lambda: np.zeros((1, 1), dtype=np.float32))
 
     def split(self, qpos: Array, qvel: Array) -> list[Array]:
-        """See Part.split."""
+        """See StateGroup.split."""
         position, velocity = super().split(qpos, qvel)
         return [position + self.reference, velocity]
 
     def join(self, arrays: Iterator[Wide], qpos: Wide, qvel: Wide) -> None:
-        """See Part.join."""
+        """See StateGroup.join."""
         qpos[:, self.at_qpos], qvel[:, self.at_qvel] = next(arrays) - self.reference, next(arrays)
 
 
@@ -177,17 +177,17 @@ class NewtonBalls(Balls):
     """Ball joints. joint_q: orientation xyzw; joint_qd: angular velocity in the parent's frame of the joint."""
 
     def fields(self, dtype: str) -> tuple[StateField, ...]:
-        """See Part.fields."""
+        """See StateGroup.fields."""
         return ball_fields(self.group, dtype, self.names)
 
     def split(self, qpos: Array, qvel: Array) -> list[Array]:
-        """See Part.split."""
+        """See StateGroup.split."""
         orientation = qpos[..., self.at_qpos][..., _TO_WXYZ]
         back = orientation * np.array([1, -1, -1, -1], dtype=orientation.dtype)
         return [orientation, rotate_to_world(back, qvel[..., self.at_qvel])]
 
     def join(self, arrays: Iterator[Wide], qpos: Wide, qvel: Wide) -> None:
-        """See Part.join."""
+        """See StateGroup.join."""
         orientation, turning = next(arrays), next(arrays)
         qpos[:, self.at_qpos] = orientation[..., _TO_XYZW]
         qvel[:, self.at_qvel] = rotate_to_world(orientation, turning)

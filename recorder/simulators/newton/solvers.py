@@ -22,7 +22,7 @@ _CLASSES = {
 
 
 @dataclass(frozen=True)
-class Sizes:
+class NewtonSizes:
     """Room for contacts and rows, and how each came about, in words.
 
     contacts  per environment
@@ -47,7 +47,7 @@ def make_solver(
     model: Any,
     options: NewtonOptions,
     physics: MjcfOptions | None,
-    sizes: Sizes,
+    sizes: NewtonSizes,
     mode: Any,
     *,
     multiccd: bool | None = None,

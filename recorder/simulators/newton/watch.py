@@ -16,7 +16,7 @@ from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scen
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.newton.model import detection_distance
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
-from gpusimbench.recorder.simulators.newton.solvers import Sizes
+from gpusimbench.recorder.simulators.newton.solvers import NewtonSizes
 from gpusimbench.recorder.simulators.newton.worlds import Worlds
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
@@ -24,7 +24,7 @@ _MARGIN = 1.5  # Newton's collision detection makes other contacts of the same s
 _STEEL_ROWS = 2  # of a contact: one along its normal, and its part of what a patch of contacts has along the surface
 
 
-def choose_sizes(scene: Scene, *, dt: float, seed: int, options: NewtonOptions, physics: MjcfOptions) -> Sizes:
+def choose_sizes(scene: Scene, *, dt: float, seed: int, options: NewtonOptions, physics: MjcfOptions) -> NewtonSizes:
     """Room for what MuJoCo C needs of the same scene with these options of its physics, and a margin; options that ask
     for a size get it."""
     compiled = compile_scene(scene, dt=dt, options=physics)
@@ -41,7 +41,7 @@ def choose_sizes(scene: Scene, *, dt: float, seed: int, options: NewtonOptions, 
             rows = _contacts_of_a_body(compiled, need)
         case _:
             rows = need.rows
-    return Sizes(
+    return NewtonSizes(
         contacts=options.max_contacts or need.size(contacts),
         rows=options.max_rows or need.size(rows),
         contacts_by="asked for" if options.max_contacts else need.sized_by(contacts),
@@ -72,7 +72,7 @@ class Watch:
     bits  what was seen in each world since it was last stored, [world] on the device
     """
 
-    def __init__(self, worlds: Worlds, options: NewtonOptions, sizes: Sizes) -> None:
+    def __init__(self, worlds: Worlds, options: NewtonOptions, sizes: NewtonSizes) -> None:
         import warp as wp
 
         self._worlds = worlds

@@ -18,7 +18,7 @@ from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.recorder.simulators.newton.model import World, build_model
 from gpusimbench.recorder.simulators.newton.options import JOINT_SPACE, NewtonOptions
-from gpusimbench.recorder.simulators.newton.solvers import Sizes, make_solver, register
+from gpusimbench.recorder.simulators.newton.solvers import NewtonSizes, make_solver, register
 from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.recorder.simulators.warp import worlds
 from gpusimbench.recorder.simulators.warp.runtime import DeviceActions
@@ -103,7 +103,7 @@ class Worlds:
         dt: float,
         options: NewtonOptions,
         physics: MjcfOptions | None,
-        sizes: Sizes,
+        sizes: NewtonSizes,
         mode: Any,
         ordered: bool,
     ) -> None:
@@ -128,7 +128,7 @@ class Worlds:
         n_env: int,
         options: NewtonOptions,
         physics: MjcfOptions | None,
-        sizes: Sizes,
+        sizes: NewtonSizes,
         mode: Any,
         ordered: bool,
     ) -> None:

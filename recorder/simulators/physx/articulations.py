@@ -21,7 +21,7 @@ from gpusimbench.recorder.scenes.base import Vector
 from gpusimbench.recorder.scenes.emit.usd import env_path
 from gpusimbench.recorder.scenes.model import BODIES, ModelScene
 from gpusimbench.recorder.simulators.base import States
-from gpusimbench.recorder.simulators.mujoco.layout import Part
+from gpusimbench.recorder.simulators.mujoco.layout import StateGroup
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 from gpusimbench.recorder.simulators.newton.layout import ModelLayout, NewtonFreeBodies, NewtonJoints
 from gpusimbench.recorder.simulators.physx import libraries
@@ -281,7 +281,7 @@ def layout_of(compiled: MjcfModel) -> ModelLayout:
     """Where the fields of a recording are, at MuJoCo's places, in PhysX's terms."""
     model, scene = compiled.model, compiled.scene
     assert isinstance(scene, ModelScene)
-    parts: list[Part] = []
+    parts: list[StateGroup] = []
     for part in compiled.layout:
         if part.group == BODIES:
             bodies = [scene_body(model, name) for name in part.names]

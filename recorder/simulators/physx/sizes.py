@@ -20,7 +20,7 @@ _LEAST = 1024  # of every buffer; PhysX's own default of those for robots
 
 
 @dataclass(frozen=True)
-class Need:
+class PhysxNeed:
     """What one environment needs at its fullest.
 
     contacts  contact points
@@ -67,19 +67,19 @@ def _chosen(name: str, asked_for: int, needed: int, n_env: int, found_by: str) -
     return Buffer(name, max(_LEAST, needed * _MARGIN * n_env), "all", sized_by=how)
 
 
-def measure(scene: Scene, *, dt: float, seed: int, options: PhysxOptions) -> Need:
+def measure(scene: Scene, *, dt: float, seed: int, options: PhysxOptions) -> PhysxNeed:
     """Count on MuJoCo C, whose shapes see each other from as far as PhysX's; without it, by the number of shapes."""
     if find_spec("mujoco") is None:
         return _by_shapes(scene)
     from gpusimbench.recorder.simulators.buffer_sizes import measure_from_afar
 
     need = measure_from_afar(scene, dt=dt, seed=seed, reach=options.contact_offset)
-    return Need(need.contacts, need.pairs, f"needed by {need.envs} envs of MuJoCo C in {need.steps} steps")
+    return PhysxNeed(need.contacts, need.pairs, f"needed by {need.envs} envs of MuJoCo C in {need.steps} steps")
 
 
-def _by_shapes(scene: Scene) -> Need:
+def _by_shapes(scene: Scene) -> PhysxNeed:
     """As many as in a stack of cubes without end."""
     moving = len(scene.moving()) + sum(len(link.shapes) for link in (scene.robot.links if scene.robot else ()))
     unbounded = sum(isinstance(body.shape, Plane) for body in scene.bodies)
     pairs = moving * (_NEIGHBOURS // 2 + 1 + unbounded)
-    return Need(_POINTS * pairs, pairs, f"for {moving} moving shapes as in a stack, MuJoCo C not being installed")
+    return PhysxNeed(_POINTS * pairs, pairs, f"for {moving} moving shapes as in a stack, MuJoCo C not being installed")

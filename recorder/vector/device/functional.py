@@ -47,7 +47,7 @@ class RecordedFunctional(Ending):
         again = isinstance(env, RecordedFunctional)  # which JAX cannot compile, and which has compiled them
         self._reset, self._step = (f if again or hasattr(f, "lower") else jax.jit(f) for f in own)
         self._log = DeviceLog(JaxRows(), steps)
-        self._layout: states.Layout | None = None
+        self._layout: states.RecordedArrays | None = None
         self._key: Any = None  # of the state that the last call of step returned
         self._began: Any = None  # of that of the last reset, to which the user may come back
         self._began_with = states.seeds_of(None)
@@ -98,10 +98,12 @@ class RecordedFunctional(Ending):
         if callable(close := getattr(self._env, "close", None)):
             close(**keywords)
 
-    def _begin(self, state: Any, action: Any) -> states.Layout:
+    def _begin(self, state: Any, action: Any) -> states.RecordedArrays:
         """Bring the rows that are there to the state that a step begins in."""
         if self._layout is None:
-            layout = states.Layout(state, infos=self._infos, physics=self._physics, full=states.cut_after(self._env))
+            layout = states.RecordedArrays(
+                state, infos=self._infos, physics=self._physics, full=states.cut_after(self._env)
+            )
             about = replace(
                 states.about(self._env, state, self._began_with, self._infos, physics=self._physics),
                 images=self._images,

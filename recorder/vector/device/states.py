@@ -43,7 +43,7 @@ def hides_the_last(state: Any) -> bool:
     return any(str(key).endswith(_FIRST) for key in (getattr(state, "info", None) or {}))
 
 
-class Layout:
+class RecordedArrays:
     """Which arrays of a state are recorded.
 
     infos    names of metrics or infos of the state

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.fields import GIVEN, field_of
 from gpusimbench.recorder.vector.infos import array_name
 from gpusimbench.recorder.vector.origin import STATED, SUITED, VECTORIZED
-from gpusimbench.recorder.vector.part import ACTION, Part, State
+from gpusimbench.recorder.vector.part import ACTION, GivenEpisode, State
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
 from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.vector import MODELS, PHYSICS, SEEDS
@@ -54,7 +54,7 @@ def given_at_first(recording: Recording, info: str) -> bool:
     return bool((recording.state(ENV, name)[1] != 0).any())
 
 
-def parts_of(recording: Recording) -> list[list[Part]]:
+def parts_of(recording: Recording) -> list[list[GivenEpisode]]:
     """What each environment is fed, [env][episode]; NothingComparable where there are no episodes."""
     if not has_episodes(recording):
         raise NothingComparable(
@@ -66,14 +66,14 @@ def parts_of(recording: Recording) -> list[list[Part]]:
         if one.group == ENV and one.field.startswith(ACTION)
     }
     seeds, states, models = _seeds(recording), _states(recording), _models(recording)
-    parts: list[list[Part]] = [[] for _ in range(recording.configuration.n_env)]
+    parts: list[list[GivenEpisode]] = [[] for _ in range(recording.configuration.n_env)]
     for episode in episodes(recording):
         env, number = episode.env, episode.number
         if number != len(parts[env]):
             raise NothingComparable(f"{recording.path}: episodes of environment {env} are missing")
         actions = {name: array.astype(dtypes[name]) for name, array in episode.actions.items()}
         at = (env, number)
-        parts[env].append(Part(actions, seeds.get(at), states.get(at), models.get(at)))
+        parts[env].append(GivenEpisode(actions, seeds.get(at), states.get(at), models.get(at)))
     if not any(parts):
         raise NothingComparable(f"{recording.path} has no step of an episode")
     return parts

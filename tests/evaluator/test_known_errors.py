@@ -1,0 +1,135 @@
+"""Errors of recorders that were found after recordings had been made: which recordings show them, and who says so."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from gpusimbench.evaluator.inputs.reader import Reader
+from gpusimbench.evaluator.missing import why_missing
+from gpusimbench.evaluator.read.known_errors import KNOWN_ERRORS, PREFIX, known_errors
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.provenance import SIMULATION
+from tests.conftest import call
+from tests.synthetic import changing, grid, write_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+H200 = ROOT / "recordings" / "h200"
+BRAX = sorted(H200.glob("brax-positional-*.mcap"))
+ONCE = "overflow bits are gathered on the device from the contacts that the step found"
+
+
+def brax(folder: Path, covers: str = "", **keywords: Any) -> Path:
+    """A recording of Brax with contacts; its recorder searched for collisions once where `covers` says so."""
+    return write_recording(
+        folder, None, simulator="brax", whole=True, proven=True,
+        change=changing(SIMULATION, timing_covers=covers), **keywords,
+    )  # fmt: skip
+
+
+def errors_of(path: Path) -> list[str]:
+    """The simulators of the errors that a recording shows."""
+    return [error.simulator for error in known_errors(Recording(path))]
+
+
+def test_shipped_recordings_with_a_known_error() -> None:
+    """Find the errors in the folder whose card names them, and in no other."""
+    found = Counter(
+        (path.parent.name, error.simulator)
+        for path in sorted((ROOT / "recordings").rglob("*.mcap"))
+        for error in known_errors(Recording(path))
+    )
+    assert found == {("h200", "brax"): 4, ("h200", "genesis"): 17, ("h200", "isaaclab"): 15}
+
+
+def test_what_a_recording_shows_its_error_by(tmp_path: Path) -> None:
+    """Tell a recorder with an error by what the recording states, and by nothing else."""
+    assert errors_of(brax(tmp_path)) == ["brax"]
+    assert not errors_of(brax(tmp_path, ONCE))
+    assert not errors_of(brax(tmp_path, built=False, status="FAILED"))
+    stated: dict[Any, bool] = {0.01: True, 0.02: False, "0.01": False, None: False, True: False, -1.0: False}
+    for value, shown in stated.items():
+        options = {"constraint_timeconst": value, "substeps": 1}
+        path = write_recording(tmp_path, None, simulator="genesis", dt=0.01, in_force=options)
+        assert bool(errors_of(path)) is shown, value
+    two = {"constraint_timeconst": 0.01, "substeps": 2}
+    assert not errors_of(write_recording(tmp_path, None, simulator="genesis", dt=0.01, in_force=two))
+    friction = {"parameter": "contact.friction", "wanted": "a patch", "used": "two points", "reason": "PhysX"}
+    for backend, deviations, shown in (("ovphysx", [], True), ("newton", [], False), ("ovphysx", [friction], False)):
+        path = write_recording(
+            tmp_path, None, simulator="isaaclab", in_force={"backend": backend},
+            change=changing(SIMULATION, deviations=deviations),
+        )  # fmt: skip
+        assert bool(errors_of(path)) is shown, (backend, deviations)
+
+
+def test_a_wrong_throughput_has_no_value_and_a_note_says_why(tmp_path: Path) -> None:
+    """Give the reason in place of throughput and capture overhead; keep the other figures."""
+    (result,) = evaluate_files(BRAX).results
+    (error,) = (error for error in KNOWN_ERRORS if error.simulator == "brax")
+    assert why_missing(result.metrics["fps"].value) == f"{PREFIX}{error.said}"
+    assert result.metrics["build_time"].value
+    assert f"{PREFIX}{error.said}" in result.notes
+    said = " ".join(call("gsb-eval", *BRAX, *H200.glob("physx-inclined*r0.mcap")).stdout.split())
+    assert f"brax: {PREFIX}{error.said}" in said
+    clocked = {"clocks": {"capture": 1.0}}
+    runs = [brax(tmp_path, **clocked), brax(tmp_path, ONCE, run=1, **clocked)]
+    (mixed,) = evaluate_files(runs).results
+    assert [mixed.metrics[name].n for name in ("fps", "capture_slowdown")] == [1, 1]
+    assert f"1 of 2 runs: {PREFIX}{error.said}" in mixed.notes
+
+
+def test_a_wrong_throughput_has_no_place(tmp_path: Path) -> None:
+    """Leave a row without a place, with the error as the reason, however fast it was."""
+    (tmp_path / "runs").mkdir()
+    for run in range(2):
+        write_recording(
+            tmp_path / "runs", None, simulator="slower", run=run, whole=True, proven=True, elapsed_s=2.0
+        )  # fmt: skip
+        brax(tmp_path / "runs", run=run)
+    call("gsb-share", "leaderboard", tmp_path / "runs", "--out", tmp_path / "board")
+    board = json.loads((tmp_path / "board" / "leaderboard.json").read_text())
+    rows = {row["simulator"]: row for section in board["sections"] for row in section["rows"]}
+    assert rows["slower"]["place"] == 1
+    assert rows["brax"]["place"] is None
+    assert "searched for collisions twice" in rows["brax"]["place_missing"]
+
+
+def test_a_wrong_throughput_is_not_compared(tmp_path: Path) -> None:
+    """Take a correction of the recorder for no improvement of the engine."""
+    for side, covers, seconds in (("base", "", 1.6), ("head", ONCE, 1.0)):
+        (tmp_path / side).mkdir()
+        for run in range(6):
+            brax(tmp_path / side, covers, run=run, elapsed_s=seconds)
+    done = call("gsb-compare", tmp_path / "base", tmp_path / "head", "--json", "-", code=ExitCode.NOTHING_COMPARABLE)
+    (compared,) = json.loads(done.stdout)["compared"]
+    (fps,) = (finding for finding in compared["findings"] if finding["name"] == "fps")
+    assert fps["change"] == "not compared", fps
+    assert "searched for collisions twice" in json.dumps(fps)
+    assert any(note.startswith(f"base: {PREFIX}") for note in compared["notes"])
+    assert not any(note.startswith(f"head: {PREFIX}") for note in compared["notes"])
+
+
+def test_check_warns_of_each_error_once(tmp_path: Path) -> None:
+    """Warn of each error with the number of its files; stay silent with a set of rules that does not ask."""
+    files = [brax(tmp_path), brax(tmp_path, run=1), brax(tmp_path, ONCE, run=2)]
+    options = {"constraint_timeconst": 0.5, "substeps": 1}
+    files.append(write_recording(tmp_path, grid(1), simulator="genesis", in_force=options, whole=True))
+    done = call("gsb-check", *files)
+    warned = [line for line in done.stdout.splitlines() if line.startswith("warning known-errors")]
+    assert len(warned) == 2
+    assert "4 files, 3 warnings" in done.stdout.splitlines()[0]
+    assert "known-errors" not in call("gsb-check", "--rules", "integrity-1", *files).stdout
+    caution = " ".join(call("gsb-info", files[0]).stdout.split())
+    assert f"CAUTION {PREFIX}each timed step searched" in caution
+    assert "CAUTION" not in call("gsb-info", files[2]).stdout
+
+
+def test_a_run_keeps_what_shows_its_error() -> None:
+    """Show the same errors once the file is closed, when what is left of it stands for it."""
+    run = Reader(5.0, verify=False)(BRAX[0])
+    assert known_errors(run) == known_errors(Recording(BRAX[0]))  # type: ignore[arg-type]
