@@ -3,7 +3,8 @@
 MJCF (``<mujoco>``) and URDF (``<robot>``) say in attributes which files they include: other documents, meshes, height
 fields, textures. Where MuJoCo may look in several folders, every file that lies in one of them belongs to the closure.
 An archive that this module writes is not compressed and has no dates, so that the same files are the same bytes, and
-their SHA-256 is the model's identity. The model's own file comes first.
+their SHA-256 is the model's identity. The model's own file comes first. A recording has a large archive as one frame of
+Zstandard; the bytes of a frame depend on the version of zstd, and are no identity of the model.
 """
 
 from __future__ import annotations
@@ -18,18 +19,26 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from gpusimbench.schemas.mcap import decompression
 from gpusimbench.schemas.writing import write_file
 
 MODEL = "model.zip"
 """Attachment with a closure."""
 
-MEDIA_TYPE = "application/zip"
+COMPRESSED = "model.zip.zst"
+"""Attachment with a closure as one Zstandard frame, which announces its size."""
 
 MAX_FILES = 4096
 """Files of a closure."""
 
 MAX_BYTES = 256 << 20
 """Of the files of a closure together."""
+
+MAX_ARCHIVE_BYTES = MAX_BYTES + (64 << 20)
+"""Of an archive, decompressed: the files, and of each file twice its path (4096 bytes at most) and a head."""
+
+_LEVEL = 3  # of Zstandard; docs/model-files.md has what other levels take
+_WORTH_BYTES = 64 << 10  # to be saved: a smaller archive stays one that earlier versions replay and any tool opens
 
 _FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback", "filename")
 _FOLDERS = ("meshdir", "texturedir", "assetdir")  # of <compiler>
@@ -71,6 +80,35 @@ def pack(path: Path) -> bytes:
                 raise UsageError(f"{path} and the files that it refers to have more than {MAX_BYTES >> 20} MiB")
             archive.writestr(zipfile.ZipInfo(file.relative_to(root).as_posix()), data)
     return stream.getvalue()
+
+
+def attachment(archive: bytes) -> tuple[str, str, bytes]:
+    """Name, media type and bytes of what a recording attaches of an archive: a frame where that is much smaller."""
+    import zstandard
+
+    frame = zstandard.ZstdCompressor(level=_LEVEL).compress(archive)
+    if len(archive) - len(frame) < _WORTH_BYTES:
+        return MODEL, "application/zip", archive
+    return COMPRESSED, "application/zstd", frame
+
+
+def plain(name: str, data: bytes) -> bytes:
+    """The bytes of an attachment before they were compressed: an archive where the name is COMPRESSED, else `data`.
+
+    DamagedRecording where the attachment is not one frame that announces at most MAX_ARCHIVE_BYTES and has as many.
+    """
+    if name != COMPRESSED:
+        return data
+    import zstandard
+
+    try:
+        size = zstandard.frame_content_size(data)
+        if not 0 <= size <= MAX_ARCHIVE_BYTES:
+            announced = f"{size} bytes" if size >= 0 else "no size"
+            raise ValueError(f"it announces {announced}, and at most {MAX_ARCHIVE_BYTES} bytes are read")
+        return decompression.decompress("zstd", memoryview(data), size).tobytes()
+    except (zstandard.ZstdError, ValueError) as error:
+        raise DamagedRecording(f"{COMPRESSED}: {error}") from None
 
 
 def unpack(data: bytes, folder: Path) -> Path:

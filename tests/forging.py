@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
@@ -27,14 +28,17 @@ def forge(
     end: Callable[[Any], None] = lambda end: None,
     honest: bool = True,
     message: Callable[[str, bytes], bytes] = lambda topic, data: data,
+    renamed: Mapping[str, tuple[str, bytes]] = MappingProxyType({}),
 ) -> Path:
     """Copy a recording with one attachment's JSON changed in place.
 
     end     changes the end record likewise
     honest  False leaves digests and content hash as they were
     message gives what is written of each message, by topic; only of topics that have one
+    renamed what stands in place of other attachments: name and bytes, by the name that they had
     """
     digests: dict[str, str] = {}
+    gone: list[str] = []
 
     def other(record: Any, topic: str) -> Any:
         if isinstance(record, Attachment) and record.name == attachment:
@@ -42,13 +46,17 @@ def forge(
             change(document)
             record.data = json.dumps(document).encode()
             digests[attachment_name(attachment)] = hashlib.sha256(record.data).hexdigest()
+        if isinstance(record, Attachment) and record.name in renamed:
+            gone.append(attachment_name(record.name))
+            record.name, record.data = renamed[record.name]
+            digests[attachment_name(record.name)] = hashlib.sha256(record.data).hexdigest()
         if isinstance(record, Message):
             data = message(topic, record.data)
             if data != record.data:
                 alone = ContentDigest()
                 alone.message(topic, data)
                 digests.update(alone.digests())
-            record.data = _ended(data, digests if honest else {}, end) if topic == topics.RUN_END else data
+            record.data = _ended(data, digests if honest else {}, gone, end) if topic == topics.RUN_END else data
         return record
 
     return copied(source, target, other, enable_data_crcs=True)
@@ -91,10 +99,12 @@ def copied(
     return target
 
 
-def _ended(data: bytes, digests: dict[str, str], change: Callable[[Any], None]) -> bytes:
+def _ended(data: bytes, digests: dict[str, str], gone: list[str], change: Callable[[Any], None]) -> bytes:
     end: Any = message_class("gsb.v1.RunEnd").FromString(data)
     change(end)
     if digests:
+        for name in gone:
+            del end.digests[name]
         end.digests.update(digests)
         names = {number: name.removeprefix("RUN_STATUS_") for name, number in enum_values("gsb.v1.RunStatus").items()}
         end.content_hash = content_hash(dict(end.digests), names[end.status].lower(), end.reason)

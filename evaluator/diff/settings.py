@@ -10,6 +10,7 @@ from typing import Any
 
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.model_files import COMPRESSED, MODEL
 from gpusimbench.schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SIMULATION
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN, SNAPSHOT
 
@@ -20,7 +21,7 @@ _LONGEST = 200
 _DEEPEST = 4
 _DIGITS = 12  # of a digest that is shown
 _OF_THE_RUN = ("run_index", "view", "snapshots")
-_TOLD_ELSEWHERE = (PROVENANCE, SIMULATION, PACKAGES, ENGINE_LOG, GIVEN, CONTROLS, "entropy.txt")
+_TOLD_ELSEWHERE = (PROVENANCE, SIMULATION, PACKAGES, ENGINE_LOG, GIVEN, CONTROLS, MODEL, COMPRESSED, "entropy.txt")
 
 
 def differing_settings(a: Recording, b: Recording) -> tuple[Setting, ...]:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -22,6 +23,7 @@ from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.model_files import COMPRESSED, MODEL, plain
 from gpusimbench.schemas.view.motion import Motion
 
 LONGEST_S = 1e9
@@ -54,6 +56,7 @@ def demands(recording: Recording) -> Iterator[Callable[[], object]]:
     yield lambda: _hashed(recording)
     yield recording.check_metadata
     yield lambda: _described(recording)
+    yield lambda: _model(recording)
     yield lambda: board_of(recording)
     yield lambda: supports_of(recording)
     for field in positional(recording.fields):
@@ -178,6 +181,19 @@ def _described(recording: Recording) -> None:
             checks.mapping(scene, name)
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path}: scene.json: {error}") from None
+
+
+def _model(recording: Recording) -> None:
+    # digests are of attachments as they lie: they do not show that an archive is the one that the run was asked for
+    model = recording.configuration.model
+    for name in (MODEL, COMPRESSED) if model else ():
+        data = recording.attachment(name)
+        try:
+            other = data is not None and hashlib.sha256(plain(name, data)).hexdigest() != model
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{recording.path}: {error}") from None
+        if other:
+            raise DamagedRecording(f"{recording.path}: {name} is not the model whose SHA-256 the configuration names")
 
 
 def _drawn(recording: Recording) -> None:

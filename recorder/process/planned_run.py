@@ -22,7 +22,7 @@ class PlannedRun:
                 that it is a replay of
     end_killed  where it has to be killed after its timeout, write a recording that says so
     cage        what it may take of the machine; None: anything
-    inputs      files that it is given, by the names that its recording attaches them under
+    inputs      files that it is given, by name
     """
 
     provenance: Provenance

@@ -59,10 +59,7 @@ from gpusimbench.schemas.provenance import (
     SIMULATION,
     Provenance,
 )
-from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED
-
-INPUTS = {GIVEN: MEDIA_TYPE, CONTROLS: MEDIA_TYPE, model_files.MODEL: model_files.MEDIA_TYPE}
-"""Files that a run may be given, and the media type of each."""
+from gpusimbench.schemas.treatment import GIVEN, VARIED
 
 
 @dataclass(frozen=True)
@@ -106,7 +103,7 @@ class Run:
     provenance   what is known before the run's process begins; the run adds its machine and software
     log          returns what the engine printed so far
     reserved     the .partial file of `path` is there already, empty, made for this run
-    inputs       files that the run is given, by the names that its recording attaches them under (INPUTS)
+    inputs       files that the run is given: by the names GIVEN and CONTROLS arrays, by model_files.MODEL an archive
     interrupted  whether the one who started this process has interrupted it: an engine that handles signals itself may
                  keep them from this process
     """
@@ -248,7 +245,8 @@ class Run:
             if varied is not None:
                 sink.attach(VARIED, MEDIA_TYPE, vary.attachment(varied))
         for name, data in self._inputs.items():
-            sink.attach(name, INPUTS[name], data)
+            archive = name == model_files.MODEL
+            sink.attach(*(model_files.attachment(data) if archive else (name, MEDIA_TYPE, data)))
         sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
         if configuration.view:
             journal.shown_log = LogWriter(sink)

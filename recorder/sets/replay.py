@@ -26,7 +26,7 @@ from gpusimbench.schemas.digest import attachment_name, content_hash
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.reader import Container
-from gpusimbench.schemas.model_files import MODEL
+from gpusimbench.schemas.model_files import COMPRESSED, MODEL, plain
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
 from gpusimbench.schemas.text import cut, ordinal, plural
 from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED, FromFile, Given, drawn, snapshot_name
@@ -170,7 +170,7 @@ def begun(
     UsageError where there is no such snapshot, DamagedRecording where what is attached is not what it was.
     """
     c, path = configuration, source.path
-    model = {MODEL: _attached(source, MODEL)} if c.model else {}
+    model = {MODEL: _archive(source)} if c.model else {}
     if FromFile.parse(c.actions):
         model[CONTROLS] = _attached(source, CONTROLS)
     if from_step is None:
@@ -197,6 +197,14 @@ def begun(
     how = Given(hashlib.sha256(data).hexdigest(), from_step)
     later = tuple(step for step in c.snapshots if step > from_step)
     return replace(c, initial=str(how), phases=("capture",), snapshots=later), {**model, GIVEN: data}
+
+
+def _archive(source: ReplaySource) -> bytes:
+    name = COMPRESSED if attachment_name(COMPRESSED) in source.digests else MODEL
+    try:
+        return plain(name, _attached(source, name))
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{source.path}: {str(error).removeprefix(f'{source.path}: ')}") from None
 
 
 def _attached(source: ReplaySource, name: str) -> bytes:

@@ -37,7 +37,7 @@ class Request:
     replay_of      the recording that the runs are replays of
     end_killed     where a run has to be killed after its timeout, write a recording that says so
     cage           what a run may take of the machine; None: anything
-    inputs         files that a run is given, by the names that its recording attaches them under
+    inputs         files that a run is given, by name
     """
 
     configuration: RunConfiguration

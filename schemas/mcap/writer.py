@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
@@ -54,9 +54,17 @@ def _text_map(values: Mapping[str, str]) -> bytes:
     return _U32.pack(len(data)) + data
 
 
-def _attachment(head: bytes, data: bytes) -> bytes:
-    content = head + _U64.pack(len(data)) + data
-    return record_of(Op.ATTACHMENT, content + _U32.pack(zlib.crc32(content)))
+def _attachment(head: bytes, data: bytes) -> tuple[bytes, bytes, bytes]:
+    # the pieces of a record: data may be large, and are not copied
+    head += _U64.pack(len(data))
+    crc = _U32.pack(zlib.crc32(data, zlib.crc32(head)))
+    return struct.pack("<BQ", Op.ATTACHMENT, len(head) + len(data) + len(crc)) + head, data, crc
+
+
+def _crc_of(pieces: Sequence[bytes], crc: int = 0) -> int:
+    for piece in pieces:
+        crc = zlib.crc32(piece, crc)
+    return crc
 
 
 class McapWriter(Assembler):
@@ -132,11 +140,11 @@ class McapWriter(Assembler):
         """Add an attachment; times in ns."""
         self.flush()
         head = struct.pack("<QQ", log_time, create_time) + text_of(name) + text_of(media_type)
-        record = _attachment(head, data)
-        self._attachments[name] = _Place(self._offset, head, len(data), zlib.crc32(record))
-        place = struct.pack("<QQQQQ", self._offset, len(record), log_time, create_time, len(data))
+        pieces = _attachment(head, data)
+        self._attachments[name] = _Place(self._offset, head, len(data), _crc_of(pieces))
+        place = struct.pack("<QQQQQ", self._offset, sum(map(len, pieces)), log_time, create_time, len(data))
         self._attachment_indexes.append(record_of(Op.ATTACHMENT_INDEX, place + text_of(name) + text_of(media_type)))
-        self._append(record)
+        self._append(*pieces)
 
     def rewrite_attachment(self, name: str, data: bytes) -> None:
         """Put data of the same size in place of those of an attachment; what follows it stays as it is.
@@ -146,7 +154,7 @@ class McapWriter(Assembler):
         place = self._attachments[name]
         if len(data) != place.size:
             raise ValueError(f"{name} has {place.size} bytes, not {len(data)}")
-        record = _attachment(place.head, data)
+        record = b"".join(_attachment(place.head, data))
         crc, written = zlib.crc32(record), 0
         while written < len(record):
             written += os.pwrite(self._descriptor, record[written:], place.offset + written)
@@ -199,10 +207,10 @@ class McapWriter(Assembler):
         )
         return record_of(Op.STATISTICS, content + _U32.pack(len(counts)) + counts)
 
-    def _append(self, record: bytes) -> None:
+    def _append(self, *pieces: bytes) -> None:
         # a record of the data section that is no chunk
-        self._crc = zlib.crc32(record, self._crc)
-        self._write([Part(record)])
+        self._crc = _crc_of(pieces, self._crc)
+        self._write(list(map(Part, pieces)))
 
     def _hand_over(self) -> None:
         left, self._queue = self._queue, []

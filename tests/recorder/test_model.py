@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
 import os
@@ -13,17 +14,22 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.evaluator.share.dataset.publish import personal
 from gpusimbench.recorder.scenes.model import compiled, model_scene
 from gpusimbench.schemas.action_generator import Controls, grid_of
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
 from gpusimbench.schemas.mcap.reader import Container
-from gpusimbench.schemas.model_files import MODEL, pack, unpack
+from gpusimbench.schemas.model_files import COMPRESSED, MODEL, pack, plain, unpack
 from gpusimbench.schemas.view.geometry import GEOMETRY
 from tests.conftest import call
+from tests.evaluator.damaged import flipped
+from tests.forging import forge
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
 _SHORT = ("--n-env", "2", "--runs", "1", "--steps", "60", "--timed-steps", "5", "--warmup", "2", "--no-view")
@@ -205,6 +211,89 @@ def test_a_replay(recording: Path, tmp_path: Path) -> None:
     (again,) = tmp_path.glob("*.mcap")
     assert call("gsb-diff", recording, again).stdout.startswith("The two recordings are bit-identical")
     assert Container(again).attachment(MODEL) == pack(WALKER)
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A model of 200 kB, and a recording of it."""
+    folder = tmp_path_factory.mktemp("large") / "walker"
+    shutil.copytree(WALKER.parent, folder)
+    model = folder / "walker.xml"
+    model.write_text(model.read_text() + f"<!-- jane@example.org {'0123456789' * 20_000} -->")
+    return model, _record(folder.parent / "out", "--model", model, "--phases", "capture")
+
+
+def test_a_large_model_is_compressed(large: tuple[Path, Path], recording: Path, tmp_path: Path) -> None:
+    """Record a large model as one frame, whose archive is the model's identity, and replay it; leave a small one."""
+    model, path = large
+    read = open_recording(path)
+    assert MODEL not in read.attachment_names()
+    archive = plain(COMPRESSED, read.attachment(COMPRESSED) or b"")
+    assert archive == pack(model)
+    assert read.configuration.model == hashlib.sha256(archive).hexdigest()
+    assert path.stat().st_size < len(archive)
+    assert open_recording(recording).attachment(MODEL) == pack(WALKER)
+    call("gsb-record", "--replay", path, "--allow-model", "--out", tmp_path, code=0)
+    (again,) = tmp_path.glob("*.mcap")
+    assert call("gsb-diff", path, again).stdout.startswith("The two recordings are bit-identical")
+    assert open_recording(again).attachment(COMPRESSED) == read.attachment(COMPRESSED)
+
+
+def test_a_large_model_that_was_attached_as_it_is(large: tuple[Path, Path], tmp_path: Path) -> None:
+    """Replay what earlier versions recorded of a large model, with the same bits; the way of storing is no setting."""
+    model, path = large
+    earlier = forge(path, tmp_path / "earlier.mcap", _nothing, renamed={COMPRESSED: (MODEL, pack(model))})
+    call("gsb-check", earlier, code=0)
+    call("gsb-record", "--replay", earlier, "--allow-model", "--out", tmp_path / "again", code=0)
+    (again,) = (tmp_path / "again").glob("*.mcap")
+    assert COMPRESSED in open_recording(again).attachment_names()
+    told = call("gsb-diff", earlier, again, "--all").stdout
+    assert told.startswith("The two recordings are bit-identical")
+    assert MODEL not in told
+
+
+def test_a_flipped_bit_of_a_compressed_model(large: tuple[Path, Path], tmp_path: Path) -> None:
+    """Say which attachment was changed, and do not replay it."""
+    _, path = large
+    data = path.read_bytes()
+    frame = open_recording(path).attachment(COMPRESSED) or b""
+    changed = tmp_path / "changed.mcap"
+    changed.write_bytes(flipped(data, data.index(frame) + len(frame) // 2))
+    assert f"the attachment {COMPRESSED}" in call("gsb-check", changed, code=ExitCode.DATA_LOST).stdout
+    replayed = call("gsb-record", "--replay", changed, "--allow-model", "--out", tmp_path, code=ExitCode.DATA_LOST)
+    assert COMPRESSED in replayed.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "said"),
+    [
+        (COMPRESSED, zstandard.compress(b"another model"), "is not the model whose SHA-256 the configuration names"),
+        (COMPRESSED, zstandard.compress(bytes(1 << 29)), "announces 536870912 bytes, and at most"),
+        (COMPRESSED, b"no frame", "model.zip.zst: "),
+        (MODEL, b"another model", "is not the model whose SHA-256 the configuration names"),
+    ],
+    ids=["another", "bomb", "no-frame", "another-as-it-is"],
+)
+def test_a_recording_with_another_model(
+    name: str, data: bytes, said: str, large: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """Name a model that is not the one that was asked for, where digests and content hash were made to fit."""
+    forged = forge(large[1], tmp_path / "forged.mcap", _nothing, renamed={COMPRESSED: (name, data)})
+    with pytest.raises(DamagedRecording, match=rf"forged\.mcap: .*{said}"):
+        verify(open_recording(forged))
+    assert said in " ".join(call("gsb-check", forged, code=ExitCode.DATA_LOST).stdout.split())
+    replayed = call("gsb-record", "--replay", forged, "--allow-model", "--out", tmp_path)
+    assert replayed.returncode in (ExitCode.USAGE, ExitCode.DATA_LOST)
+    assert not list((tmp_path).glob("mujoco*"))
+
+
+def test_what_may_be_personal_in_a_compressed_model(large: tuple[Path, Path]) -> None:
+    """Find an address of mail in a file of the model."""
+    assert ("jane@example.org", COMPRESSED) in {(found.text, found.where) for found in personal(large[1])}
+
+
+def _nothing(document: object) -> None:
+    """Leave provenance.json as it is."""
 
 
 def test_a_snapshot(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import fsspec
 import numpy as np
 import pytest
+import zstandard
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.check.integrity import scan
@@ -93,7 +94,9 @@ BOUNDS: dict[str, str] = {
         f"{arrays.MAX_ARRAYS}, together {_bytes(arrays.MAX_BYTES)}; of an imported model {_bytes(imported.MAX_BYTES)} "
         f"and {imported._MOST_NAMES:,} names a list"
     ),
-    "files of a model": f"{model_files.MAX_FILES}, together {_bytes(model_files.MAX_BYTES)}",
+    "files of a model; their archive, decompressed": (
+        f"{model_files.MAX_FILES}, together {_bytes(model_files.MAX_BYTES)}; {_bytes(model_files.MAX_ARCHIVE_BYTES)}"
+    ),
     "the summary of a remote file": (
         f"{_bytes(index.MAX_SUMMARY_BYTES)}; 65,536 schemas and channels, and as many message indexes per chunk"
     ),
@@ -126,6 +129,10 @@ def _unpacked(path: Path, sizes: list[int]) -> Path:
         for number, size in enumerate(sizes):
             archive.writestr(f"{number}.xml", "<mujoco/>".ljust(size))
     return model_files.unpack(stream.getvalue(), Path(tempfile.mkdtemp(dir=path.parent)))
+
+
+def _plain(archive: bytes) -> bytes:
+    return model_files.plain(model_files.COMPRESSED, zstandard.compress(archive))
 
 
 def _model(folder: Path) -> Path:
@@ -176,6 +183,7 @@ READ: dict[str, tuple[ModuleType, str, int | Callable[[Path], int], Callable[[Pa
     "bytes of an archive": (model_files, "MAX_BYTES", 30, lambda p: _unpacked(p, [10, 20])),
     "files of a model": (model_files, "MAX_FILES", 2, lambda p: model_files.pack(_model(p.parent))),
     "bytes of a model": (model_files, "MAX_BYTES", 52, lambda p: model_files.pack(_model(p.parent))),
+    "bytes of an archive, decompressed": (model_files, "MAX_ARCHIVE_BYTES", 9, lambda _: _plain(b"123456789")),
     "names": (imported, "_MOST_NAMES", 2, lambda _: imported._texts({"a": np.array(["b", "c"])}, "a")),
     "bodies": (geometry, "MAX_LINKS", 3, lambda _: geometry.look_of({}, _geometry(3, 0))),
     "shapes": (geometry, "MAX_SHAPES", 3, lambda _: geometry.look_of({}, _geometry(1, 3))),

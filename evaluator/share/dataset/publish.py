@@ -45,6 +45,7 @@ from gpusimbench.evaluator.share.dataset.manifest import (
 from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import GsbError, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.model_files import plain
 from gpusimbench.schemas.text import few, plural
 from gpusimbench.schemas.writing import write_files
 
@@ -84,6 +85,8 @@ def personal(path: Place) -> list[Personal]:
     with suppress(GsbError):
         recording = Recording(path)
         texts = [(name, recording.attachment(name) or b"") for name in recording.attachment_names()]
+        if recording.configuration.model:
+            texts = [(name, plain(name, data)) for name, data in texts]
         texts.append(("the reason of its end", recording.reason.encode(errors="replace")))
         for where, data in texts:
             for what, text in _in(data.decode(errors="replace")):
