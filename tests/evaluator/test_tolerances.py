@@ -1,4 +1,4 @@
-"""Tolerances of laws in closed form, by the formulas of docs/physics/laws.md, from what was recorded."""
+"""Tolerances of laws and checks of mechanics, by the formulas of docs/physics/laws.md and docs/physics.md."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.facts import LawValues
+from gpusimbench.evaluator.runs.physics.facts import Check, LawValues, Measured
 from gpusimbench.evaluator.runs.physics.laws import laws_of
+from gpusimbench.evaluator.runs.physics.measure import physics_of
+from gpusimbench.recorder.scenes.registry import make_scene
 from tests.conftest import call
+from tests.evaluator.trajectories import at_rest, falling, rolling, write_motion
 
 _G, _DT = 9.81, 0.01
 
@@ -114,3 +117,47 @@ def test_a_four_bar_linkage(tmp_path: Path) -> None:
     turn = np.mean(laws["period"].predicted)
     expected = _DT / turn + (2.0 * math.pi * _DT / turn) ** 2
     assert laws["energy_change"].tolerance == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("stride", [1, 3])
+def test_checks_of_a_fall(tmp_path: Path, stride: int) -> None:
+    """Allow the impact a step and a row, the speed what gravity adds in them, and the rebound that over the speed."""
+    motion = falling(make_scene("free-fall"), dt=0.01, rows=90)
+    rows = {name: array[::stride] for name, array in motion.items()}
+    facts = _facts(write_motion(tmp_path, "free-fall", rows, stride=stride))
+    slack, speed = 0.01 + 0.01 * stride, math.sqrt(2.0 * _G * 0.5)
+    assert facts[Check.IMPACT_TIME].tolerance == pytest.approx(slack)
+    assert facts[Check.IMPACT_SPEED].tolerance == pytest.approx(_G * slack)
+    assert facts[Check.REBOUND].tolerance == pytest.approx(_G * slack / speed)
+    assert facts[Check.FALL_SHAPE].tolerance == pytest.approx(_G * 1e-4, rel=1e-3)
+
+
+def test_checks_of_a_roll(tmp_path: Path) -> None:
+    """Allow acceleration and speed the share of a step in the way of 0.25 m, and the slip what a step adds."""
+    facts = _facts(
+        write_motion(tmp_path, "inclined-collision", rolling(make_scene("inclined-collision"), dt=_DT, rows=46))
+    )
+    down = _G * math.sin(math.radians(20.0))
+    acceleration = 5.0 / 7.0 * down
+    time = math.sqrt(2.0 * 0.25 / acceleration)
+    assert facts[Check.ROLLING].tolerance == pytest.approx(acceleration * _DT / time, rel=1e-3)
+    assert facts[Check.FOOT_SPEED].tolerance == pytest.approx(acceleration * time * _DT / time, rel=1e-3)
+    assert facts[Check.SLIP].tolerance == pytest.approx(down * _DT)
+
+
+def test_checks_of_bodies_on_the_ground(tmp_path: Path) -> None:
+    """Allow the ground the impulse of friction of the whole weight in a step, and ways and energies a step's fall."""
+    motion = at_rest(make_scene("inclined-collision"), 20)
+    motion["position"][:, :, 0] = (0.3, 0.1, 0.0375)
+    facts = _facts(write_motion(tmp_path, "inclined-collision", motion))
+    mass = 0.17782 + 27 * 0.005
+    for check in (Check.CONE, Check.PULL):
+        assert facts[check].tolerance == pytest.approx(0.65 * mass * _G * _DT)
+    assert facts[Check.DISPLACEMENT].tolerance == pytest.approx(_G * _DT**2, rel=1e-6)
+    for check in (Check.ENERGY_START, Check.ENERGY_ROW):
+        assert facts[check].tolerance == pytest.approx(mass * _G**2 * _DT**2, rel=1e-6)
+
+
+def _facts(path: Path) -> dict[Check, Measured]:
+    facts = physics_of(Recording(path)).facts
+    return {check: fact for check, fact in facts.items() if isinstance(fact, Measured)}
