@@ -67,6 +67,21 @@ def flight(rows: int = 20, tosses: int = 3, height: float = 5.0, seed: int = 0) 
     return Motion(np.arange(rows), position, orientation, velocity, np.broadcast_to(rate, position.shape).copy())
 
 
+def test_energy_is_of_height_speed_and_spin() -> None:
+    """Give m g h, m v^2 / 2 and I w^2 / 2 of what a simulation has more of than the measured tosses, each by itself."""
+    rows, zero = np.arange(3), np.zeros((3, 1, 3))
+    facing = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (3, 1, 4))
+    measured = Motion(rows, zero, facing, zero, zero)
+    up_by, speed, spin = zero + [0.0, 0.0, 0.2], zero + [3.0, 0.0, 4.0], zero + [0.0, 7.0, 0.0]
+    for more, expected in (
+        (Motion(rows, up_by, facing, zero, zero), 0.4 * 9.81 * 0.2),
+        (Motion(rows, zero, facing, speed, zero), 0.4 * 25.0 / 2.0),
+        (Motion(rows, zero, facing, zero, spin), 0.4 * 0.01 / 6.0 * 49.0 / 2.0),
+        (Motion(rows, zero, facing, speed, spin), 0.4 * 25.0 / 2.0 + 0.4 * 0.01 / 6.0 * 49.0 / 2.0),
+    ):
+        assert toss_errors(more, measured, np.array([3]), CUBE, DT).energy == pytest.approx([expected])
+
+
 @given(st.tuples(*[st.floats(-1, 1)] * 3), st.floats(0, math.pi), st.integers(0, 9))
 def test_angle(axis: tuple[float, ...], turn: float, seed: int) -> None:
     """Give back the angle of a rotation, whichever of its two quaternions is taken."""
