@@ -36,7 +36,6 @@ def pendulum_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
         return Missing("a pendulum starts at or above its highest position")
     weight, inertia = _rod(recording)
     small = 2.0 * math.pi * math.sqrt(inertia / weight)
-    amplitude = np.abs(angle[0])
     found, energies, works = [], [], []
     for env in range(angle.shape[1]):
         found.append(cycles(time, angle[:, env]))
@@ -45,7 +44,7 @@ def pendulum_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
         energies.append(changed)
         works.append(work)
     taken = np.array([work for work in works if math.isfinite(work)])
-    predicted = pendulum_period(amplitude, small)
+    predicted = pendulum_period(angle[0], small)
     dt = recording.configuration.dt
     return (
         LawValues(
