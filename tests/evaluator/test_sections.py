@@ -159,3 +159,12 @@ def test_points_of_sweeps_are_no_groups_of_probes(tmp_path: Path) -> None:
     said = " ".join(text_of(evaluated.evaluation).split())
     assert "groups of sweeps, 16 to 256 envs" in said
     assert "gsb-probe needs" not in said
+
+
+def test_overflow_says_how_many_groups_do_not_report_it() -> None:
+    """Say that no group had any, and of how many groups nothing is known where there are such."""
+    warp = sorted((RECORDINGS / "h200").glob("warp-free-fall-n1-r*.mcap"))
+    for more, notes in (([], ()), ([RECORDINGS / "mujoco-amd-r0.mcap"], ("not reported by 1 group",))):
+        results = evaluate_files([*warp, *more]).results
+        cell = validity._overflows(results)
+        assert (cell.text, cell.notes) == ("none in 1 group", notes)
