@@ -30,6 +30,7 @@ from gpusimbench.evaluator.metrics.tosses import (
 )
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.document import render_html
@@ -205,6 +206,25 @@ def runs() -> dict[str, Path]:
         "pyramidal": _run("--sim", "mujoco", "--option", "cone=pyramidal"),
         "substeps": _run("--sim", "mujoco", "--dt", str(1 / 148 / 4), "--stride", "4"),
     }
+
+
+@pytest.mark.parametrize("field", ["position", "orientation", "linear_velocity", "angular_velocity"])
+def test_a_toss_that_blew_up_has_no_errors(
+    reference: Path, runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch, field: str
+) -> None:
+    """Give the reason where any part of a state is not finite."""
+    measured = measured_tosses(Recording(reference))
+    assert measured is not None
+    read = StateArray.read
+
+    def spoiled(self: StateArray, *at: Any) -> Any:
+        found = np.array(read(self, *at), dtype=np.float64)
+        if self.field.field == field:
+            found[1:] = np.nan
+        return found
+
+    monkeypatch.setattr(StateArray, "read", spoiled)
+    assert errors_of(Recording(runs["elliptic"]), measured) == Missing("its states are not all finite")
 
 
 def test_a_wrong_cone_is_seen(reference: Path, runs: dict[str, Path]) -> None:
