@@ -21,6 +21,7 @@ from gpusimbench.evaluator.metrics.joints import (
     joint_distance,
 )
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.report.verdicts import alike, repeats
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.runs.outcome import outcome_of
 from gpusimbench.evaluator.runs.positions import sample_positions
@@ -165,6 +166,16 @@ def test_a_humanoid_has_both(tmp_path: Path) -> None:
     assert metrics["joint_slide_run_to_run"].value == pytest.approx(slide)
     assert (metrics["joint_angle_parallel"].unit, metrics["joint_slide_parallel"].unit) == ("rad", "cm")
     assert metrics["joint_angle_run_to_run"].details.joints == 28
+
+
+def test_the_first_screen_has_the_distance_of_runs_and_that_of_environments(tmp_path: Path) -> None:
+    """Say how far apart the joints of runs are, and those of environments, each where it is asked."""
+    (result,) = evaluate(runs(tmp_path, pendulum(), 2)).results
+    between_runs, between_envs = (
+        f"no, {result.metrics[f'joint_angle_{what}'].value:.3g} rad" for what in ("run_to_run", "parallel")
+    )
+    assert between_runs != between_envs
+    assert (repeats([result]).text, alike([result]).text) == (between_runs, between_envs)
 
 
 def test_what_does_not_apply_says_what_it_needs(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import quad
-from scipy.stats import mannwhitneyu
+from scipy.stats import chi2, mannwhitneyu, t
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.metrics.physics.closed_form import pendulum_period, stopping_distance
@@ -301,6 +301,21 @@ def test_the_smallest_changes_are_seen_95_times_in_100() -> None:
     assert np.mean(half) < 0.8
     assert np.mean(none) == pytest.approx(0.05, abs=0.03)
     assert np.mean(verdicts, axis=0)[0] > 0.95 and not any(false for _, false in verdicts)
+
+
+@pytest.mark.parametrize("uneven", [0.05, 0.4])
+def test_the_smallest_changes_solve_their_equations(uneven: float) -> None:
+    """Agree with the formulas of docs/physics/laws.md; the share by which effects differ is 10 % at least."""
+    off, tolerance = np.random.default_rng(2).normal(0.01, 0.3, 30), 0.2
+    n, k = len(off), max(uneven, 0.1)
+    s = off.std(ddof=1) / math.sqrt(n) * math.sqrt((n - 1) / chi2.ppf(0.05, n - 1))  # its upper 95 % limit
+    shown, breaks = showing_move(off, uneven), breaking_move(off, uneven, tolerance)
+    assert shown is not None
+    assert breaks is not None
+    q = t.ppf(0.975, 2 * n - 2) + t.ppf(0.95, 2 * n - 2)
+    assert shown == pytest.approx(q * math.sqrt(math.pi / 3) * math.sqrt(2 * s**2 + k**2 * shown**2 / n))
+    q = t.ppf(0.975, n - 1) + t.ppf(0.95, n - 1)
+    assert breaks == pytest.approx(tolerance + abs(off.mean()) + q * (s + k * breaks / math.sqrt(n)))
 
 
 def _differ(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:

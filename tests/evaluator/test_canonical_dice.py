@@ -120,3 +120,4 @@ def test_the_smallest_load_is_seen_95_times_in_100() -> None:
         seen = ((counts - 1000.0) ** 2).sum(axis=1) / 1000.0 > test.critical
         assert seen.mean() == pytest.approx(rate, abs=0.015)
     assert uniformity((4,) * 6, alpha=0.05, power=0.95) is None
+    assert uniformity((5,) * 6, alpha=0.05, power=0.95) is not None  # the usual rule: five expected of each

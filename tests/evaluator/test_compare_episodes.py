@@ -16,6 +16,7 @@ from gpusimbench.evaluator.episodes.comparison import compare as compare_policie
 from gpusimbench.evaluator.episodes.comparison import difference_of
 from gpusimbench.evaluator.episodes.side import choose, read_side
 from gpusimbench.evaluator.episodes.success import At
+from gpusimbench.evaluator.statistics.cases import PERMUTATIONS
 from tests.conftest import call, made_once
 from tests.scripts import example
 
@@ -204,6 +205,12 @@ def test_one_environment(sides: tuple[int, int], capsys: pytest.CaptureFixture[s
     ways = max(2, *sides) + (sides[0] != sides[1])
     assert found["return"]["undecided"] == "too few environments"
     assert found["return"]["least_p"] == pytest.approx(2 / ways)
+
+
+def test_the_least_p_of_many_environments(capsys: pytest.CaptureFixture[str]) -> None:
+    """Be that of all drawn permutations and the arrangement that was recorded, from both sides."""
+    _, _, found = compared(recorded("near", 64, 4), recorded("sweep", 64, 4), capsys=capsys)
+    assert found["return"]["least_p"] == pytest.approx(2 / (PERMUTATIONS + 1), rel=1e-9)
 
 
 def test_the_value_of_one_environment() -> None:

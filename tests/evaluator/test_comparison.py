@@ -46,6 +46,19 @@ def test_a_warm_up_of_its_own_is_no_reason_to_be_left_out(tmp_path: Path) -> Non
     assert need(found, REPRODUCIBLE).unranked == (f"quick (run-to-run 0.00 cm, parallel 0.00 cm): {why}",)
 
 
+def test_a_throughput_without_evidence_of_work_is_compared_with_none(tmp_path: Path) -> None:
+    """Give the rule that is not met in place of the throughput, on the radar and to the guidelines."""
+    for run in range(2):
+        for simulator, proven in (("a", True), ("b", True), ("unproven", False)):
+            write_recording(tmp_path, grid(2), simulator=simulator, run=run, warmup=100, elapsed_s=2.0, proven=proven)
+    found = compared(tmp_path)
+    speeds = {c.figures.name: c.metrics[Axis.THROUGHPUT] for c in found.contenders}
+    assert not isinstance(speeds["a"], Missing) and not isinstance(speeds["b"], Missing)
+    assert isinstance(speeds["unproven"], Missing) and "not met" in speeds["unproven"].reason
+    (unranked,) = need(found, REPRODUCIBLE).unranked
+    assert unranked.startswith("unproven ")
+
+
 def test_what_is_wrong_in_another_scene_bars_a_pick(tmp_path: Path) -> None:
     """Bar an engine that is INVALID in a scene that is not compared; not another of its levels or options."""
     for run in range(2):

@@ -85,6 +85,12 @@ def test_no_zero_for_a_run_alone() -> None:
     assert own.value == pytest.approx(0.820, abs=5e-4)
 
 
+def test_a_run_on_a_cpu_has_no_co_tenants(tmp_path: Path) -> None:
+    """Say nothing of other processes on a GPU that no run used."""
+    result = only([write_recording(tmp_path, None, elapsed_s=2.0)])
+    assert result.metrics["fps"].of(Throughput).co_tenants is None
+
+
 def test_compared_by_the_process(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Compare what the processes held where a run of a side had a co-tenant."""
     base, head = shipped("isaaclab-newton", 0, 1, 2), shipped("isaaclab-newton", 5, 6, 7)

@@ -150,7 +150,7 @@ def test_what_flew_off_does_not_change_the_map_of_a_board(off: list[int]) -> Non
     assert [shared.grid.bin(cloud(n)).off_map for n in off] == off
 
 
-@pytest.mark.parametrize("away", [100.0, np.nan, np.inf])
+@pytest.mark.parametrize("away", [100.0, -100.0, np.nan, np.inf])
 def test_a_map_without_a_board_holds_most_positions(away: float) -> None:
     """Find where positions are, without a board or far from it, in spite of those that flew off or are not finite."""
     for board in (None, BOARD):

@@ -27,9 +27,10 @@ def mean_distance(a: np.ndarray, b: np.ndarray, *, skip: int = 0) -> float:
     return float(np.mean(found))
 
 
-def test_definition() -> None:
+@pytest.mark.parametrize("sizes", [(4, 3), (2, 2)])
+def test_definition(sizes: tuple[int, int]) -> None:
     """Be 2 E|X-Y| - E|X-X'| - E|Y-Y'|, pair by pair, with unequal sides, in both statistics."""
-    a, b = envs(4, 0), envs(3, 1, shift=0.5)
+    a, b = envs(sizes[0], 0), envs(sizes[1], 1, shift=0.5)
     found = energy_distance(a, b, n_permutation=9, seed=0)
     assert found.v_statistic == pytest.approx(2 * mean_distance(a, b) - mean_distance(a, a) - mean_distance(b, b))
     unbiased = 2 * mean_distance(a, b) - mean_distance(a, a, skip=5) - mean_distance(b, b, skip=5)

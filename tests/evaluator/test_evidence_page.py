@@ -156,6 +156,10 @@ def test_paper_rows_only_when_asked(swept: Evaluation) -> None:
     found = tables_of(swept, published=True)
     assert papers(found["remade-variability"]) == ["Genesis, the paper's", "MuJoCo Warp, the paper's"]
     assert len(papers(found["capability-free-fall"])) == 3
+    published = [row.cells for row in found["capability-free-fall"].rows if row.cells[0].text == "the paper's"]
+    assert sorted((n.text, speed.text, memory.text) for _, n, speed, memory, *_ in published) == [
+        ("2,048", "16.600", "5.9"), ("2,048", "2.234", "7.8"), ("512", "0.534", "10.6"),
+    ]  # fmt: skip
     section = paper_tables.section(source(swept, published=True))
     assert section is not None
     (missing,) = [b.text for b in section.blocks if isinstance(b, Text) and "no complete run is here of" in b.text]

@@ -23,6 +23,7 @@ from gpusimbench.evaluator.render.numbers import figure
 from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.parquet import frames
+from gpusimbench.evaluator.results.clamped_metrics import CLAMPED
 from gpusimbench.evaluator.results.details import BetweenRuns, OffTheBoard
 from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -109,6 +110,12 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     reference = read(write_recording(folder, away, simulator="other"))
     assert isinstance(reference, Run)
     return evaluate([read(path) for path in files], reference=reference)
+
+
+def test_clamped_distances_are_compared_with_none() -> None:
+    """Keep them from gsb-compare, whose family of tests would grow, and from the radar, which has published ones."""
+    assert len(CLAMPED) == 3
+    assert all(metric.axis is None and metric.radar is None and not metric.published for metric in CLAMPED)
 
 
 def test_one_cube_of_many_is_shown(few: Evaluation) -> None:

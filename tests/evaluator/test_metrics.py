@@ -20,8 +20,8 @@ from gpusimbench.evaluator.report.parquet import METRICS as METRICS_TABLE
 from gpusimbench.evaluator.report.parquet import frames
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.metric import BYTES, Axis, Direction, Metric, each
-from gpusimbench.evaluator.results.metrics import METRICS
+from gpusimbench.evaluator.results.metric import BYTES, Axis, Direction, Metric, Table, each
+from gpusimbench.evaluator.results.metrics import METRICS, of_table
 from gpusimbench.evaluator.results.result import GroupResult
 from tests.pages import print_all
 from tests.scripts import drawn, script
@@ -101,6 +101,15 @@ def test_declarations_are_whole() -> None:
         assert metric.values or metric.of_group
         assert metric.per_unit == BYTES.get(metric.unit, 1.0)
     assert len({metric.title for metric in METRICS.values()}) == len(METRICS)
+
+
+def test_a_metric_is_a_column_of_its_own_table_alone() -> None:
+    """Give each table its own metrics, in the order of the declarations, and a metric without a table none."""
+    tables = {table: [metric.name for metric in of_table(table)] for table in Table}
+    assert tables[Table.THROUGHPUT][0] == "fps"
+    assert tables[Table.VARIABILITY][0] == "w1_parallel"
+    shown = [name for names in tables.values() for name in names]
+    assert sorted(shown) == sorted(name for name, metric in METRICS.items() if metric.table)
 
 
 def test_every_metric_has_an_estimate(recordings: list[Path]) -> None:

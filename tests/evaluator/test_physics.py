@@ -268,6 +268,15 @@ def test_balls_in_each_other(tmp_path: Path, depth: float) -> None:
     assert measured(facts_of(write_motion(tmp_path, "ball-drop", motion)), Check.PAIR_REST).most == 0.0
 
 
+def test_one_environment_with_two_balls_at_rest_is_measured(tmp_path: Path) -> None:
+    """Measure the pair of one environment, though another has a single ball at rest."""
+    motion = at_rest(make_scene("ball-drop"), 5, n_env=2)
+    motion["position"][:, 0, 1] = motion["position"][:, 0, 0] + [0.1 - 5e-4, 0.0, 0.0]
+    motion["linear_velocity"][:, 1, 1:, 0] = 0.5
+    found = measured(facts_of(write_motion(tmp_path, "ball-drop", motion)), Check.PAIR_REST)
+    assert found.count == 1 and found.most == pytest.approx(5e-4)
+
+
 def test_a_ball_in_a_cube_at_rest(tmp_path: Path) -> None:
     """Measure a ball that rests 3 mm deep in a cube that is turned by 45 degrees."""
     scene = make_scene("inclined-collision")

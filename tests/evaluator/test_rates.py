@@ -10,6 +10,7 @@ from scipy import stats
 
 from gpusimbench.evaluator.episodes.comparison import unpaired_interval
 from gpusimbench.evaluator.statistics.cases import (
+    in_proportion,
     interquartile_mean,
     interval_over_cases,
     least_shown,
@@ -131,3 +132,10 @@ def test_rows_that_differ() -> None:
     apart = RNG.normal(size=(n_env, per_env)) + columns + 2 * RNG.normal(size=(n_env, 1))
     assert rows_differ(apart) < 0.01 and rows_differ(apart.T) < 0.01
     assert rows_differ(np.full((n_env, per_env), 0.1)) == 1.0
+
+
+def test_the_largest_value_is_one_whatever_its_sign() -> None:
+    """Keep the signs and the proportions of values, and leave zeros alone."""
+    assert in_proportion(np.array([-4.0, -2.0])).tolist() == [-1.0, -0.5]
+    assert in_proportion(np.array([1.0, -4.0])).tolist() == [0.25, -1.0]
+    assert in_proportion(np.zeros(2)).tolist() == [0.0, 0.0]

@@ -132,6 +132,7 @@ def test_bound_is_where_none_becomes_improbable(trials: int) -> None:
         ([0, 0, 0], np.zeros((2, 2)), [0, 0, 0], "shapes"),
         ([0, 0, -1], np.zeros((3, 3)), [0, 0, 0], "not negative"),
         ([0, 0, 0], np.ones((3, 3)), [0, 0, 0], "diagonal"),
+        ([0, 0, 0], np.diag([0.0, 1.0, 0.0]), [0, 0, 0], "diagonal"),
         ([0, 0, 0], np.zeros((3, 3)), [0, 0], "shapes"),
         ([0, 0, 0], np.triu(np.ones((3, 3)), 1), [0, 0, 0], "symmetric"),
     ],

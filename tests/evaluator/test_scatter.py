@@ -19,6 +19,7 @@ from gpusimbench.evaluator.render.figures.scatter import Box, Point, place, scat
 from gpusimbench.evaluator.render.table_files import to_csv
 from gpusimbench.evaluator.report.sections.scatter import pictures
 from gpusimbench.evaluator.results.evaluate import evaluate_files
+from tests.synthetic import grid, write_recording
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 FRAME = Box(66, 10, 548, 286)
@@ -86,6 +87,15 @@ def test_a_strangers_label_stays_text() -> None:
     assert "exactly 0: <b>" in figure.attrib["aria-label"]
     assert figure.attrib["aria-label"].endswith("fastest that is valid: fast")
     assert not scatter([], across="", up="", across_tick=tick_label, up_tick=tick_label)
+
+
+def test_a_figure_has_the_groups_of_its_scene_alone(tmp_path: Path) -> None:
+    """Draw a figure a scene, without groups of the other one."""
+    for run in range(2):
+        for scene, simulator in (("inclined-collision", "a"), ("inclined-collision", "b"), ("free-fall", "c")):
+            write_recording(tmp_path, grid(2), scene=scene, simulator=simulator, run=run, elapsed_s=2.0, proven=True)
+    found = list(pictures(evaluate_files(sorted(tmp_path.glob("*.mcap")))))
+    assert sorted(sorted(str(name) for name, *_ in figure.numbers.rows) for figure in found) == [["a", "b"], ["c"]]
 
 
 @pytest.fixture(scope="module")

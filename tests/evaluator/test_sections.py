@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from gpusimbench.evaluator.metrics.guidelines import Guideline
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Items, Section, Table, Tone
 from gpusimbench.evaluator.report.document import SECTIONS, report
@@ -19,11 +21,13 @@ from gpusimbench.evaluator.report.sections import (
     validity,
     variability,
 )
+from gpusimbench.evaluator.report.sections.comparison import guidelines
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
-from tests.synthetic import write_recording
+from tests.pages import text_of
+from tests.synthetic import write_recording, write_sweep
 
 TOPICS = (accumulation, determinism_cost, mechanics, scaling, throughput, validity, variability)
 FACETS = {"simulator", "scene", "device", "level"}
@@ -131,3 +135,36 @@ def test_sections_without_content_are_a_line_each(tmp_path: Path) -> None:
         "Mechanics", "Throughput and memory", "Density maps", "Consistency matrices",
     }  # fmt: skip
     assert not {reason.partition(":")[0] for reason in reasons} & set(titles)
+
+
+def test_all_that_speaks_against_others_stands_beside_a_pick(source: Source) -> None:
+    """List who is not recommended and why, each group once, in the order of the reasons."""
+    need = Guideline(
+        "speed", "a", "fastest", "2", disqualified=("b",), unmeasured=("c",), barred=("d (sank)",), unranked=("e",)
+    )
+    comparison = replace(source.evaluation.comparison, guidelines=(need,))
+    made = guidelines(Source(replace(source.evaluation, comparison=comparison), False, ""))
+    assert made is not None
+    (shown,) = tables(made)
+    cell = shown.rows[0].cells[-1]
+    assert (cell.text, *cell.notes) == (
+        "qualifies too, not ranked: e", "do not qualify: b", "lack a figure: c", "barred: d (sank)",
+    )  # fmt: skip
+
+
+def test_points_of_sweeps_are_no_groups_of_probes(tmp_path: Path) -> None:
+    """Count groups that stand in the scaling section as those of sweeps alone."""
+    write_sweep(tmp_path, (16, 64, 256), scene="free-fall")
+    evaluated = Source(evaluate_files(sorted(tmp_path.glob("*.mcap"))), False, "")
+    said = " ".join(text_of(evaluated.evaluation).split())
+    assert "groups of sweeps, 16 to 256 envs" in said
+    assert "gsb-probe needs" not in said
+
+
+def test_overflow_says_how_many_groups_do_not_report_it() -> None:
+    """Say that no group had any, and of how many groups nothing is known where there are such."""
+    warp = sorted((RECORDINGS / "h200").glob("warp-free-fall-n1-r*.mcap"))
+    for more, notes in (([], ()), ([RECORDINGS / "mujoco-amd-r0.mcap"], ("not reported by 1 group",))):
+        results = evaluate_files([*warp, *more]).results
+        cell = validity._overflows(results)
+        assert (cell.text, cell.notes) == ("none in 1 group", notes)

@@ -64,6 +64,18 @@ def test_origins_follow_from_the_number(tmp_path: Path) -> None:
     assert [p.n_env for p in only(tmp_path).points] == [1, 2, 4]
 
 
+@pytest.mark.parametrize("of_near", [1, 3])
+def test_a_point_is_the_group_of_most_runs(tmp_path: Path, of_near: int) -> None:
+    """Take, of groups of one number whose origins differ, that of the most complete runs; keep the other beside it."""
+    for apart, runs in ((4.0, of_near), (8.0, 2)):
+        for run in range(runs):
+            write_recording(tmp_path, grid(2), run=run, origins=((0.0, 0.0, 0.0), (apart, 0.0, 0.0)))
+    write_recording(tmp_path, grid(4), origins=tuple((4.0 * i, 0.0, 0.0) for i in range(4)))
+    point = only(tmp_path).points[0]
+    assert len(point.result.group.complete) == max(of_near, 2)
+    assert [len(other.group.complete) for other in point.others] == [min(of_near, 2)]
+
+
 def test_n_max_and_its_reason(tmp_path: Path) -> None:
     """End at the largest N with a complete run, for the reason of the next larger one, also of runs never built."""
     write_sweep(tmp_path, SIZES, fails=256)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gpusimbench.evaluator.metrics.memory import Checkpoints, peak_increment
+from gpusimbench.evaluator.metrics.memory import Checkpoints, allocator_peak, peak_increment
 from gpusimbench.evaluator.metrics.throughput import frames_per_second, typical_time
 
 
@@ -34,6 +34,16 @@ def test_peak_increment_refuses(base: int, peak: int) -> None:
     """Refuse figures that say nothing about the run."""
     with pytest.raises(ValueError):
         peak_increment(base, peak)
+
+
+@pytest.mark.parametrize(
+    ("built", "peaks", "peak"), [(None, [], None), (None, [5, 9], 9), (9, [5, 9], None), (9, [9, 10], 10)]
+)
+def test_the_peak_of_a_compiler_is_not_that_of_the_simulation(
+    built: int | None, peaks: list[int], peak: int | None
+) -> None:
+    """Give no peak where building the simulator took as much."""
+    assert allocator_peak(built, peaks) == peak
 
 
 def test_checkpoints() -> None:

@@ -109,6 +109,17 @@ def test_other_steps_are_named_as_not_comparable(shown: Callable[[Evaluation], s
     assert "too short to rely on" not in told
 
 
+def test_the_most_common_steps_are_those_of_all_others(tmp_path: Path) -> None:
+    """Name the rows with other steps once, and the rest, which is larger, as all others."""
+    recorded(tmp_path)
+    write_recording(tmp_path, grid(2), simulator="third", warmup=100, elapsed_s=2.0)
+    (said,) = timed.incomparable(evaluated(tmp_path).results)
+    assert said == (
+        "NOT comparable by throughput: the timed steps of short are 20 to 120 (100); those of all others are 100 to "
+        "1,100 (1,000)"
+    )
+
+
 def test_the_first_screen_marks_what_was_timed_too_briefly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Put a sign before a throughput of less than a second, or of too few steps; none elsewhere."""
 

@@ -30,6 +30,7 @@ from gpusimbench.evaluator.metrics.tosses import (
 )
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.document import render_html
@@ -65,6 +66,21 @@ def flight(rows: int = 20, tosses: int = 3, height: float = 5.0, seed: int = 0) 
     orientation = np.stack([_quaternion(Rotation.from_rotvec(rate * k * DT) * begin) for k in range(rows)])
     velocity = speed - np.array([0, 0, 9.81]) * time
     return Motion(np.arange(rows), position, orientation, velocity, np.broadcast_to(rate, position.shape).copy())
+
+
+def test_energy_is_of_height_speed_and_spin() -> None:
+    """Give m g h, m v^2 / 2 and I w^2 / 2 of what a simulation has more of than the measured tosses, each by itself."""
+    rows, zero = np.arange(3), np.zeros((3, 1, 3))
+    facing = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (3, 1, 4))
+    measured = Motion(rows, zero, facing, zero, zero)
+    up_by, speed, spin = zero + [0.0, 0.0, 0.2], zero + [3.0, 0.0, 4.0], zero + [0.0, 7.0, 0.0]
+    for more, expected in (
+        (Motion(rows, up_by, facing, zero, zero), 0.4 * 9.81 * 0.2),
+        (Motion(rows, zero, facing, speed, zero), 0.4 * 25.0 / 2.0),
+        (Motion(rows, zero, facing, zero, spin), 0.4 * 0.01 / 6.0 * 49.0 / 2.0),
+        (Motion(rows, zero, facing, speed, spin), 0.4 * 25.0 / 2.0 + 0.4 * 0.01 / 6.0 * 49.0 / 2.0),
+    ):
+        assert toss_errors(more, measured, np.array([3]), CUBE, DT).energy == pytest.approx([expected])
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 3), st.floats(0, math.pi), st.integers(0, 9))
@@ -190,6 +206,25 @@ def runs() -> dict[str, Path]:
         "pyramidal": _run("--sim", "mujoco", "--option", "cone=pyramidal"),
         "substeps": _run("--sim", "mujoco", "--dt", str(1 / 148 / 4), "--stride", "4"),
     }
+
+
+@pytest.mark.parametrize("field", ["position", "orientation", "linear_velocity", "angular_velocity"])
+def test_a_toss_that_blew_up_has_no_errors(
+    reference: Path, runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch, field: str
+) -> None:
+    """Give the reason where any part of a state is not finite."""
+    measured = measured_tosses(Recording(reference))
+    assert measured is not None
+    read = StateArray.read
+
+    def spoiled(self: StateArray, *at: Any) -> Any:
+        found = np.array(read(self, *at), dtype=np.float64)
+        if self.field.field == field:
+            found[1:] = np.nan
+        return found
+
+    monkeypatch.setattr(StateArray, "read", spoiled)
+    assert errors_of(Recording(runs["elliptic"]), measured) == Missing("its states are not all finite")
 
 
 def test_a_wrong_cone_is_seen(reference: Path, runs: dict[str, Path]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -152,3 +153,11 @@ def test_rounding_and_bits_have_words_of_their_own(tmp_path: Path) -> None:
     alike = evaluate_files([write_recording(tmp_path, grid(2), run=r, simulator="same") for r in range(3)])
     assert "all 3 runs bit-identical" in text_of(alike)
     assert "another run differs in some bit with a probability below 78 % (95 % confidence)" in text_of(alike)
+
+
+def test_runs_without_a_common_step_are_not_compared() -> None:
+    """Give nothing where runs captured other steps, and the digests of all steps where they share one."""
+    one = _run([1, 2, 3])
+    assert side_by_side([one, replace(one, steps=one.steps + 3)]) is None
+    both = side_by_side([one, replace(one, steps=one.steps + 2)])
+    assert both is not None and both[0].tolist() == [0, 1, 2, 3, 4]

@@ -11,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench import open_recording
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.runs.positions import sample_positions
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.cli import main
 from gpusimbench.recorder.scenes.registry import make_scene
@@ -45,6 +47,12 @@ def test_trials_are_a_recording(gsb_record: Command, gsb_eval: Command, tmp_path
     assert array.steps.tolist() == [1]
     assert np.allclose(array.at_step(1)[..., :2], (grid(4) + [0.02, 0.0, 0.0])[..., :2])
     assert recording.attachment("trials.csv") == (tmp_path / "trials.csv").read_bytes()
+
+    # at another time there are no positions, even where it is nearest to the step that was measured
+    dt = recording.configuration.dt
+    for share in (0.9, 1.1):
+        missing = sample_positions(recording, share * dt)
+        assert isinstance(missing, Missing) and missing.reason.startswith("the trials were measured at ")
 
     simulated = write_recording(tmp_path, grid(4))
     evaluated = gsb_eval(simulated, path, "--json", "-", code=0)

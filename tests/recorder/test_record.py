@@ -19,6 +19,8 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.ranges import env_block, steps_per_block
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.recorder.run.engine import Engine
+from gpusimbench.recorder.run.given_actions import given
+from gpusimbench.recorder.run.timed_phase import LEAST_STEPS, _timed_again
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
@@ -133,6 +135,26 @@ def test_every_window_begins_and_ends_alike() -> None:
     for found in (begins, ends):
         assert all(np.array_equal(a, b) for other in found[1:] for a, b in zip(found[0], other, strict=True))
     assert not np.array_equal(begins[0][0], ends[0][0])
+
+
+def test_windows_are_timed_after_the_warm_up() -> None:
+    """Time the same steps in every further window: those behind the warm-up, with its actions and their own."""
+    scene, warmup, steps = make_scene("franka"), 7, LEAST_STEPS
+    configuration = RunConfiguration("mujoco", scene.name, 2, 0.01, 0, warmup=warmup, timed_steps=steps, seed=1)
+    with Engine(
+        lambda: MujocoC(scene, n_env=2, dt=0.01, seed=1, options=MujocoC.Options()), "random:0.3", None
+    ) as engine:
+        engine.start()
+        ends = []
+        for first, count in ((0, warmup), (warmup, steps)):
+            engine.simulator.prepare(given(engine.simulator, configuration, first, count))
+            engine.simulator.step(count)
+        ends.append([array.copy() for array in engine.simulator.state()])
+        windows = _timed_again(engine, configuration, np.array([[0], [1]]))
+        for _ in range(2):
+            next(windows)
+            ends.append([array.copy() for array in engine.simulator.state()])
+    assert all(np.array_equal(a, b) for other in ends[1:] for a, b in zip(ends[0], other, strict=True))
 
 
 def test_states_from_the_initial_one_on(small: Path) -> None:

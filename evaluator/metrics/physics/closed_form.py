@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 def pendulum_period(amplitude: Array, small: float) -> Array:
     """Period of a physical pendulum that is released at rest [s].
 
-    amplitude  angle from the lowest position [rad], below pi
+    amplitude  angle from the lowest position [rad], of either sign, its size below pi
     small      period of small swings, 2 pi sqrt(I / (m g l)) [s]
 
     T = T0 2/pi K(sin(a/2)), with the complete elliptic integral of the first kind (Landau and Lifshitz, Mechanics,

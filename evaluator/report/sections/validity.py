@@ -88,7 +88,7 @@ def _overflows(results: Sequence[GroupResult]) -> Cell:
     fired = sum(bool(one.overflow) for one in told)
     fatal = any(seen.fatal for one in told for seen in one.overflow or ())
     silent = len(results) - len(told)
-    notes = (f"not reported by {plural(silent, 'group')}",) if silent and told else ()
+    notes = (f"not reported by {plural(silent, 'group')}",) if silent else ()
     if not told:
         return Cell("not reported", tone=Tone.QUIET)
     if not fired:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gpusimbench.evaluator.metrics.physics.four_bar import FourBar, wrapped
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of
+from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, fewest_periods, joints_of
 from gpusimbench.evaluator.runs.physics.facts import LawValues
 from gpusimbench.evaluator.statistics.cases import variation
 from gpusimbench.schemas import checks
@@ -111,7 +111,6 @@ def _energy(bars: FourBar, time: Array, energy: Array, joint: Array, dt: float) 
 def _period(bars: FourBar, time: Array, crank: Array, energy: Array, dt: float) -> LawValues:
     expected = bars.period(energy)
     found = [cycles(time, np.sin(crank[:, env])) for env in range(crank.shape[1])]
-    fewest = max(1, min((count for _, count in found if count), default=1))
     # a linkage with another rocker begins with the same speed of the crank, and so with another energy
     speed = np.sqrt(energy / bars.energy_at(crank[0], np.ones_like(energy)))
     heavier, lighter = (_heavier(bars, 1.0 + share) for share in (_NUDGE, -_NUDGE))
@@ -119,7 +118,8 @@ def _period(bars: FourBar, time: Array, crank: Array, energy: Array, dt: float) 
     slope = float((periods[0] - periods[1]).mean()) / (2.0 * _NUDGE)
     return LawValues(
         "period", "period of the crank", "s",
-        tuple(one for one, _ in found), tuple(map(float, expected)), dt / fewest, "dt over the turns measured",
+        tuple(one for one, _ in found), tuple(map(float, expected)),
+        dt / fewest_periods(found), "dt over the turns measured",
         (("mass", 0.0), ("rocker's mass", slope)), "no whole turn was recorded",
     )  # fmt: skip
 

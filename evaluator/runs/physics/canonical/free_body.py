@@ -11,7 +11,7 @@ from gpusimbench.evaluator.metrics.physics.closed_form import rotation_period
 from gpusimbench.evaluator.metrics.physics.solids import rotations
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of, cycles, unevenness
+from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of, cycles, fewest_periods, unevenness
 from gpusimbench.evaluator.runs.physics.facts import LawValues
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
@@ -62,7 +62,6 @@ def _body(name: str, moments: Array, time: Array, turn: Array, spin: Array, dt: 
     steeper, flatter = (rotation_period(ascending * (1.0 + sign * nudge), start) for sign in (1.0, -1.0))
     slope = (steeper - flatter)[np.isfinite(steeper - flatter)] / (2.0 * _NUDGE)
     periods = [cycles(time, spin[:, env, order[1]]) for env in range(spin.shape[1])]
-    fewest = max(1, min((count for _, count in periods if count), default=1))
     return [
         LawValues(
             f"{name}_momentum", f"change of the angular momentum of {name} in {whole:g} s, over it", "",
@@ -79,7 +78,7 @@ def _body(name: str, moments: Array, time: Array, turn: Array, spin: Array, dt: 
         LawValues(
             f"{name}_period", f"period of the rotation of {name}", "s",
             tuple(period for period, _ in periods), tuple(map(float, predicted)),
-            dt / fewest, "dt over the periods measured",
+            dt / fewest_periods(periods), "dt over the periods measured",
             (("mass", 0.0), ("middle moment", float(slope.mean()) if len(slope) else 0.0)),
             "no whole period was recorded", (("middle moment", unevenness(slope)),),
         ),

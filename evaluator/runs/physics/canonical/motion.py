@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
@@ -91,6 +92,11 @@ def cycles(time: Array, value: Array) -> tuple[float, int]:
         return math.nan, 0
     first, last = (float(time[i] - value[i] * (time[i + 1] - time[i]) / (value[i + 1] - value[i])) for i in at[[0, -1]])
     return (last - first) / (len(at) - 1), len(at) - 1
+
+
+def fewest_periods(found: Iterable[tuple[float, int]]) -> int:
+    """Of what `cycles` found in environments, the smallest number of periods above zero; 1 where there is none."""
+    return min((count for _, count in found if count), default=1)
 
 
 def unevenness(effects: Array) -> float:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gpusimbench.evaluator.metrics.physics.closed_form import DoublePendulum, pendulum_period
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, joints_of, unevenness
+from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, fewest_periods, joints_of, unevenness
 from gpusimbench.evaluator.runs.physics.facts import LawValues
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
@@ -28,30 +28,28 @@ _PAIRS = {"large": slice(0, 2), "small": slice(2, 4)}
 
 def pendulum_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
     """The laws, or why none can be measured; DamagedRecording where the scene does not describe a pendulum."""
-    found = joints_of(recording)
-    if isinstance(found, Missing):
-        return found
-    time, angle, speed = found[0], found[1][..., 0], found[2][..., 0]
+    read = joints_of(recording)
+    if isinstance(read, Missing):
+        return read
+    time, angle, speed = read[0], read[1][..., 0], read[2][..., 0]
     if not np.abs(angle[0]).max() < math.pi:
         return Missing("a pendulum starts at or above its highest position")
     weight, inertia = _rod(recording)
     small = 2.0 * math.pi * math.sqrt(inertia / weight)
-    amplitude = np.abs(angle[0])
-    periods, energies, works = [], [], []
+    found, energies, works = [], [], []
     for env in range(angle.shape[1]):
-        periods.append(cycles(time, angle[:, env])[0])
+        found.append(cycles(time, angle[:, env]))
         energy = weight * (1.0 - np.cos(angle[:, env])) + 0.5 * inertia * speed[:, env] ** 2
-        changed, work = _change(time, energy, speed[:, env], periods[-1])
+        changed, work = _change(time, energy, speed[:, env], found[-1][0])
         energies.append(changed)
         works.append(work)
     taken = np.array([work for work in works if math.isfinite(work)])
-    predicted = pendulum_period(amplitude, small)
+    predicted = pendulum_period(angle[0], small)
     dt = recording.configuration.dt
-    fewest = max(1.0, float(np.floor(time[-1] / predicted.max())) - 1.0)
     return (
         LawValues(
-            "period", "period of the pendulum", "s", tuple(periods), tuple(map(float, predicted)),
-            dt / fewest, "dt over the periods measured",
+            "period", "period of the pendulum", "s", tuple(period for period, _ in found), tuple(map(float, predicted)),
+            dt / fewest_periods(found), "dt over the periods measured",
             (("mass", 0.0), ("damping", 0.0)), _NO_PERIOD,
         ),
         LawValues(
@@ -142,12 +140,11 @@ def _modes(pendulum: DoublePendulum, time: Array, angle: Array, dt: float) -> li
     for name, frequency, row in zip(("slow", "fast"), frequencies, to_modes, strict=True):
         period = 2.0 * math.pi / float(frequency)
         found = [cycles(time, angle[:, env] @ row) for env in range(angle.shape[1])]
-        fewest = max(1, min((count for _, count in found if count), default=1))
         made.append(
             LawValues(
                 f"{name}_period", f"period of the {name} normal mode", "s",
                 tuple(one for one, _ in found), (period,) * len(found),
-                dt / fewest + period * largest**2, "dt over the periods measured + T a^2",
+                dt / fewest_periods(found) + period * largest**2, "dt over the periods measured + T a^2",
                 (("mass", 0.0), ("gravity", -period / 2.0)), "no whole period was recorded",
             )
         )  # fmt: skip
