@@ -176,6 +176,18 @@ def recorded(*arguments: object) -> list[Path]:
     return sorted(made_once(name[:16], record).glob("*.mcap"))
 
 
+@pytest.fixture
+def unoptimised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let XLA leave out its optimisations in the processes that a test starts: they compile a program in a third of the
+    time, and step it for moments. Recordings state the flags.
+
+    It is not for tests that compare two programs bit by bit, as one that steps with one that keeps what it sees:
+    without the optimisations they round differently.
+    """
+    flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    monkeypatch.setenv("XLA_FLAGS", " ".join(filter(None, [os.environ.get("XLA_FLAGS"), flags])))
+
+
 @pytest.fixture(scope="session")
 def small_set() -> list[Path]:
     """Three runs of four environments of inclined-collision, 1 s each; must not be written to."""

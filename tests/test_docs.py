@@ -135,6 +135,7 @@ _SHORTER = " --steps 50 --timed-steps 50"
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize(
     "page",
     [

@@ -21,6 +21,7 @@ from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.model_files import MODEL, pack
 from gpusimbench.schemas.treatment import CONTROLS, FromFile
+from gpusimbench.schemas.view.geometry import GEOMETRY
 from tests.conftest import call
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
@@ -200,14 +201,19 @@ def test_on_a_device(each: bool, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize("sim", ["warp", "mjx", "newton"])
 def test_on_another_engine(sim: str, tmp_path: Path) -> None:
-    """Move as on MuJoCo C with the controls of the same file, which each recording has."""
+    """Move as on MuJoCo C with the controls of the same file, which each recording has, in the same layout and look."""
     file = _file(tmp_path, controls=ROWS[:5])
     captured = ("--phases", "capture")  # MJX compiles a program for each phase
     paths = [_record(tmp_path / name, file, *captured, sim=name) for name in ("mujoco", sim)]
     own, other = map(open_recording, paths)
     np.testing.assert_array_equal(own.actions("controls"), other.actions("controls"))
-    np.testing.assert_allclose(own.state("joints", "qpos")[5], other.state("joints", "qpos")[5], atol=2e-4)
+    layouts = [[(f.name, f.items, f.units) for f in read.simulation.fields] for read in (own, other)]
+    assert layouts[0] == layouts[1]
+    for field in (("joints", "qpos"), ("bodies", "position")):
+        np.testing.assert_allclose(own.state(*field)[5], other.state(*field)[5], atol=2e-4)
+    assert Container(paths[0]).attachment(GEOMETRY) == Container(paths[1]).attachment(GEOMETRY)
     assert Container(paths[0]).attachment(CONTROLS) == Container(paths[1]).attachment(CONTROLS)
     assert Container(paths[0]).attachment(MODEL) == Container(paths[1]).attachment(MODEL)

@@ -49,6 +49,7 @@ def rest(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return _record("--replay", whole, "--from", "30", "--out", tmp_path_factory.mktemp("rest"))
 
 
+@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize(
     "arguments",
     [
