@@ -25,7 +25,7 @@ from gpusimbench.schemas.mcap.contents import Message
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import SIMULATION, Simulation
 from gpusimbench.schemas.tosses import NOTICE
-from gpusimbench.schemas.treatment import GIVEN, MOST_SPREAD, TEACHER, Given, Initial, parse_initial
+from gpusimbench.schemas.treatment import GIVEN, INITIAL_KINDS, MOST_SPREAD, TEACHER, Given, Initial, parse_initial
 
 ITEMS = "items"
 """Of given states: GROUP/items has the names of a group's bodies or joints, in the order of its arrays."""
@@ -226,10 +226,10 @@ def parse(text: str, n_env: int) -> str:
         if drawn.spread < GRID or (drawn.but or 0) >= n_env:
             raise ValueError(text)
     except ValueError:
+        ends = " or ".join(f",{kind.name}:{kind.value}" for kind in INITIAL_KINDS.values())
         raise UsageError(
             f"--initial is random:SPREAD, with a spread from {GRID!r} to {MOST_SPREAD:g} (of velocities in m/s, of "
-            "joint angles in rad), and may end with ,shift:K or with ,but:E, an environment, "
-            f"not '{text}'"
+            f"joint angles in rad), and may end with {ends}, E an environment, not '{text}'"
         ) from None
     return str(drawn)
 

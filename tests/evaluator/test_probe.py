@@ -251,11 +251,14 @@ def test_noise_leaves_causes_open(tmp_path: Path) -> None:
 def test_what_is_not_there_is_not_asked(tmp_path: Path) -> None:
     """Name what a question needs, and the reason where the run for it failed."""
     failed = _write(tmp_path, ARMS[TREATED["set"]], status="FAILED", reason="no room", cause="ENGINE")
-    (arms,) = arms_of([_write(tmp_path, ARMS[1]), failed])
+    shifted = _write(tmp_path, ARMS[5], status="FAILED", reason="no time", cause="ENGINE")
+    (arms,) = arms_of([_write(tmp_path, ARMS[1]), failed, shifted])
     found = {finding.key: finding for finding in answers(arms)}
     assert {finding.answer for finding in found.values()} == {Answer.NOT_ASKED}
     assert found["set"].reason == "its run is failed: no room"
     assert found["restored"].reason == "needs a run with --intervene excursion@STEP+MORE"
+    assert found["slot"].reason == "its run is failed: no time"
+    assert found["neighbours"].reason == "needs a run with --initial random:SPREAD,but:E"
     assert found["number"].reason == "needs runs of other numbers of environments"
     assert verdict_of(list(found.values())) == "no question of gsb-probe has the runs that it compares"
 
@@ -313,7 +316,7 @@ def test_arms_of_other_sizes(tmp_path: Path) -> None:
     """Hold no arm against runs of another number of environments, but for the question about numbers."""
     foreign = [Arm(2, ARMS[5].initial), Arm(2, ARMS[6].initial), replace(ARMS[TREATED["reset"]], n_env=2)]
     (arms,) = arms_of([_write(tmp_path, arm) for arm in (*foreign, *ARMS[:2], *ARMS[USUAL_AGAIN:])])
-    assert arms.shifted is arms.but is None
+    assert arms.otherwise == {}
     assert arms.treated == {}
     assert {finding.key: finding for finding in answers(arms)}["slot"].answer is Answer.NOT_ASKED
 
