@@ -43,6 +43,9 @@ actuator], or [step, env, actuator], and, if the file had them, actuators, their
 SNAPSHOT = re.compile(r"snapshot-(\d{1,12})\.npz")
 """Attachment with an engine's whole state after a step."""
 
+AXES = ("x", "y", "xy")
+"""Whose signs change in mirror images (schemas.mirror): in the planes x = 0 and y = 0, and by a half turn about z."""
+
 _NUMBER = r"[0-9.eE+-]+"
 _INITIAL = re.compile(rf"random:(?P<spread>{_NUMBER})(?:,(?P<kind>[a-z]+):(?P<value>[a-z0-9]{{1,8}}))?")
 _VARIED = re.compile(rf"(?P<name>[a-z]+):(?P<value>{_NUMBER})")
@@ -56,6 +59,12 @@ def _count(text: str) -> int:
     if not text.isdecimal():
         raise ValueError(text)
     return int(text)
+
+
+def _axes(text: str) -> str:
+    if text not in AXES:
+        raise ValueError(text)
+    return text
 
 
 @dataclass(frozen=True)
@@ -120,6 +129,10 @@ _INITIAL_KINDS = (
         "but", "E", "begins all environments but E in other states", _count,
         probed=lambda n_env: 0 if n_env > 1 else None,
     ),
+    InitialKind(
+        "mirror", "AXES", f"begins all environments in mirror images ({', '.join(AXES)}: signs that change)", _axes,
+        probed=lambda n_env: "y",
+    ),
 )  # fmt: skip
 INITIAL_KINDS = {kind.name: kind for kind in _INITIAL_KINDS}
 """Kinds of initial states by name."""
@@ -133,11 +146,13 @@ class Initial:
     spread  around the scene's first state [m/s or rad]
     shift   environment e begins as environment e + shift does without it, modulo their number: ",shift:K"
     but     all environments but this one begin otherwise than without it: ",but:E"; None: all as without it
+    mirror  all environments begin in the mirror images of these states, as of AXES: ",mirror:AXES"
     """
 
     spread: float
     shift: int = 0
     but: int | None = None
+    mirror: str = ""
 
     @classmethod
     def parse(cls, text: str) -> Initial:

@@ -23,6 +23,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.streams import of_both_phases
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.mirror import why_unlike_its_image
 from gpusimbench.schemas.text import bound, plural
 from gpusimbench.schemas.treatment import INITIAL_KINDS, KINDS, Initial, Intervention
 
@@ -270,6 +271,20 @@ def _neighbours(arms: Arms) -> Asked | Missing:
     return decided_alone(compare_pairs(Pairs(base, others, same_slots([initial.but]))), compared)
 
 
+def _mirrored(arms: Arms) -> Asked | Missing:
+    """The mirror images of all environments with what went on from the mirror images of their initial states."""
+    both, base = _begun_otherwise(arms, "mirror"), first_of(arms.varied)
+    axes = INITIAL_KINDS["mirror"].probed(arms.n_env) if isinstance(both, Missing) else both[2].mirror
+    if not isinstance(base, Missing) and (why := why_unlike_its_image(base.scene, str(axes))):
+        return Missing(f"the scene is not its own mirror image: {why}")
+    if isinstance(both, Missing):
+        return both
+    base, images, _ = both
+    pairs = Pairs(base, images, same_slots(range(arms.n_env)), mirror=str(axes))
+    plane = "z axis, by a half turn" if axes == "xy" else f"plane {axes} = 0"
+    return decided_alone(compare_pairs(pairs), f"the same {_begun(arms)}, mirrored in the {plane}")
+
+
 def _captured(arms: Arms) -> Asked | Missing:
     """The timed phase, in which nobody looks at states, with the capture: by hashes."""
     for run in (*arms.plain, *arms.varied):
@@ -336,6 +351,7 @@ QUESTIONS = (
         goes_on("excursion", "saved at step {step}, {more} further steps, restored"),
     ),
     Question("process", "a snapshot goes on in another process as before", process),
+    Question("mirrored", "a mirrored state goes on as the mirrored one", _mirrored, gate=False),
     Question("device", "independent of the device", _device, gate=False, asked_of_few=True),
     Question(
         "set", "positions and velocities are the whole state",
