@@ -55,12 +55,6 @@ _KEEP = re.compile(rf"failing(?:,within:(?P<within>{_NUMBER}))?")
 _INTERVENTION = re.compile(r"(?P<kind>[a-z]+)@(?P<step>\d{1,9})(?:\+(?P<more>\d{1,9}))?")
 
 
-def _count(text: str) -> int:
-    if not text.isdecimal():
-        raise ValueError(text)
-    return int(text)
-
-
 def _axes(text: str) -> str:
     if text not in AXES:
         raise ValueError(text)
@@ -122,11 +116,11 @@ class InitialKind:
 
 _INITIAL_KINDS = (
     InitialKind(
-        "shift", "K", "begins each environment as the one K slots further", _count,
+        "shift", "K", "begins each environment as the one K slots further", int,
         probed=lambda n_env: max(1, n_env // 3) if n_env > 1 else None,
     ),
     InitialKind(
-        "but", "E", "begins all environments but E in other states", _count,
+        "but", "E", "begins all environments but E in other states", int,
         probed=lambda n_env: 0 if n_env > 1 else None,
     ),
     InitialKind(
