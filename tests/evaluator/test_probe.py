@@ -402,7 +402,7 @@ def _probed(folder: Path) -> None:
         "gsb-probe", "--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", folder / "out",
         "--json", folder / "answers.json", code=0,
     )  # fmt: skip
-    assert len(done.stdout.splitlines()) <= 19
+    assert len(done.stdout.splitlines()) <= 22
     asked = sum(not question.asked_of_few for question in QUESTIONS)
     no = "a mirrored state goes on as the mirrored one, positions and velocities are the whole state"
     said = f"{asked - 2} of {asked} answers are yes; no: {no}"
