@@ -47,6 +47,7 @@ FOUND_BY = {
             "fresh",
             "restored",
             "process",
+            "mirrored",
             "set",
         )
     },

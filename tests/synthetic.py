@@ -163,6 +163,7 @@ def write_recording(
     environment: dict[str, str] | None = None,
     run_id: str | None = None,
     path_of: Callable[[NDArray[Any], int], NDArray[Any]] | None = None,
+    begins: NDArray[Any] | None = None,
     whole: bool = False,
     cpu: str = "test",
     replay_of: ReplayOf | None = None,
@@ -184,6 +185,7 @@ def write_recording(
     whole      says all that the rules of integrity-1 ask of provenance
     proven     its throughput meets the protocol's rules: 100 warm-up steps, contacts, states that change while timing
     path_of    called with the initial positions and a step before the last; returns the positions then
+    begins     the initial positions; None: the scene's
     """
     n_env = n_env if final is None else len(final)
     if proven:
@@ -258,6 +260,7 @@ def write_recording(
             start = np.broadcast_to(
                 np.array([b.position for b in described.moving()[-final.shape[1] :]], dtype=dtype), final.shape
             )
+        start = start if begins is None else begins
         writer.feed([start[np.newaxis]])
         between = [path_of(start, step) if path_of else start for step in range(1, steps)]
         writer.feed([np.stack([*between, final])])

@@ -34,8 +34,7 @@ class Arms:
     plain     environments that begin alike, and are left alone
     varied    environments that begin differently, and are left alone; `spread` as in their configurations
     by_number the same with other numbers of environments
-    shifted   the same with states in other slots
-    but       the same, where all environments but one begin otherwise
+    otherwise the same, where environments begin otherwise, by kind of initial states
     treated   as `varied`, by kind of intervention
     continued a run that saved a snapshot, and one that began with the snapshot in a process of its own
     repeated  runs of one treatment, of each that has several
@@ -49,8 +48,7 @@ class Arms:
     plain: tuple[Recording, ...]
     varied: tuple[Recording, ...]
     by_number: dict[int, Recording]
-    shifted: Recording | None
-    but: Recording | None
+    otherwise: dict[str, Recording]
     treated: dict[str, Recording]
     continued: tuple[Recording, Recording] | None
     repeated: tuple[tuple[Recording, ...], ...]
@@ -150,7 +148,7 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
     failed = {_treatment(r): f"{r.status}: {r.reason}" for r in recordings if r not in good}
     alone = [r for r in good if not r.configuration.intervention and not r.configuration.snapshots]
     varied = _of_one_spread({r: initial for r in good if (initial := drawn(r.configuration.initial))})
-    same = [r for r, initial in varied.items() if not initial.shift and initial.but is None]
+    same = [r for r, initial in varied.items() if not initial.kind]
     usual_size = {r: initial for r, initial in varied.items() if r.configuration.n_env == n_env}
     treated = [r for r in same if r in usual_size and not r.configuration.snapshots]
     by_treatment: dict[str, list[Recording]] = {}
@@ -162,8 +160,7 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
         tuple(r for r in alone if not r.configuration.initial and r.configuration.n_env == n_env),
         tuple(r for r in same if r in alone and r.configuration.n_env == n_env),
         {r.configuration.n_env: r for r in reversed(same) if r in alone and r.configuration.n_env != n_env},
-        next((r for r, initial in usual_size.items() if initial.shift), None),
-        next((r for r, initial in usual_size.items() if initial.but is not None), None),
+        {initial.kind: r for r, initial in reversed(usual_size.items()) if initial.kind},
         {done.name: r for r in reversed(treated) if (done := Intervention.of(r.configuration.intervention))},
         _continued(good),
         tuple(tuple(runs) for runs in by_treatment.values() if len(runs) > 1),

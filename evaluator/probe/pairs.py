@@ -15,6 +15,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.mirror import can_mirror, mirrored
 
 _ROWS = 50  # a block's rows, so that none is decoded twice
 
@@ -27,6 +28,8 @@ class Pairs:
     envs   of each pair, the environment of a and that of b
     ahead  the state of a after step s + ahead is held against that of b after step s
     first  step of b to begin with: 0 is the initial state
+    mirror the mirror images of b's states are compared, as of schemas.treatment.AXES, and zeros have no sign; empty:
+           the states themselves, bit by bit
     """
 
     a: Recording
@@ -34,6 +37,7 @@ class Pairs:
     envs: tuple[tuple[int, int], ...]
     ahead: int = 0
     first: int = 0
+    mirror: str = ""
 
 
 @dataclass(frozen=True)
@@ -169,7 +173,11 @@ def _incomparable(pairs: Pairs) -> str:
     if a.configuration.dt != b.configuration.dt:
         return "they have other time steps"
     origins = [recording.simulation.env_origins if recording.simulation else () for recording in (a, b)]
+    if pairs.mirror and (odd := next((f.name for f in a.fields if not can_mirror(f.field)), "")):
+        return f"the mirror image of {odd} is not known"
     in_world = any(f.field == "position" and f.frame == "world" for f in a.fields)
+    if in_world and any(origin["xyz".index(axis)] for origin in origins[0] for axis in pairs.mirror):
+        return "environments stand at origins beside the mirror's plane, so that images are rounded otherwise"
     if in_world and any(_origin(origins[0], e) != _origin(origins[1], f) for e, f in pairs.envs):
         return "they stand at different origins, so that their positions cannot be compared by bits"
     if set(a.action_names) != set(b.action_names) or any(_other_actions(pairs, name) for name in a.action_names):
@@ -218,6 +226,8 @@ class _Steps:
             (self._pairs.b, self._rows_b[rows], self._envs_b),
         )
         a, b = (_taken(recording.state(field.group, field.field), at, envs) for recording, at, envs in sides)
+        if self._pairs.mirror:
+            return mirrored(field.field, a, ""), mirrored(field.field, b, self._pairs.mirror)
         return a, b
 
 
@@ -230,6 +240,8 @@ def _taken(array: Any, rows: NDArray[np.int64], envs: NDArray[np.int64]) -> NDAr
 def _by_hashes(pairs: Pairs) -> tuple[NDArray[np.bool_], int, int | None]:
     """Which pairs differ by hashes, over how many common steps, and the first step of a at which one does."""
     apart = np.zeros(len(pairs.envs), dtype=bool)
+    if pairs.mirror:
+        return apart, 0, None  # a hash has no mirror image
     found = [recording.fingerprints("capture") for recording in (pairs.a, pairs.b)]
     if found[0] is None or found[1] is None:
         return apart, 0, None

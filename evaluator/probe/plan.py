@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.text import plural
-from gpusimbench.schemas.treatment import KINDS, Initial, Intervention, Vary, drawn
+from gpusimbench.schemas.treatment import INITIAL_KINDS, KINDS, Initial, Intervention, Vary, drawn
 
 CONFIRMED = 2
 """Further runs of arms that differ."""
@@ -113,9 +113,9 @@ class Plan:
         plain, usual = Arm(self.n_env, timed=True), Arm(self.n_env, str(varied))
         yield from (plain, usual)
         yield from (Arm(n, str(varied)) for n in self.numbers if n != self.n_env)
-        if self.n_env > 1:
-            yield Arm(self.n_env, str(Initial(self.spread, shift=max(1, self.n_env // 3))))
-            yield Arm(self.n_env, str(Initial(self.spread, but=0)))
+        for changed in INITIAL_KINDS.values():
+            if (value := changed.probed(self.n_env)) is not None:
+                yield Arm(self.n_env, str(varied.of_kind(changed.name, value)))
         for kind in KINDS.values():
             intervention = Intervention(kind.name, at, more if kind.more else 0)
             if kind.probed and intervention.treated(self.n_env):

@@ -23,8 +23,9 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.streams import of_both_phases
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.mirror import why_unlike_its_image
 from gpusimbench.schemas.text import bound, plural
-from gpusimbench.schemas.treatment import KINDS, Initial, Intervention
+from gpusimbench.schemas.treatment import INITIAL_KINDS, KINDS, Initial, Intervention
 
 _WHY = 60  # characters of why an arm is missing
 
@@ -104,6 +105,17 @@ def _beside(arms: Arms, kind: str) -> tuple[Recording, Recording, Intervention] 
     if isinstance(base, Missing):
         return base
     return treated if isinstance(treated, Missing) else (base, *treated)
+
+
+def _begun_otherwise(arms: Arms, kind: str) -> tuple[Recording, Recording, Initial] | Missing:
+    """A run that began with the usual states, and one that began with others of this kind."""
+    base, found = first_of(arms.varied), arms.otherwise.get(kind)
+    if isinstance(base, Missing):
+        return base
+    if found is None:
+        why = next((why for how, why in arms.failed.items() if f",{kind}:" in how), "")
+        return Missing(f"its run is {why}" if why else f"needs a run with --initial {INITIAL_KINDS[kind].form}")
+    return base, found, Initial.parse(found.configuration.initial)
 
 
 class Probed(NamedTuple):
@@ -238,29 +250,39 @@ def _other_number(how: str, n_env: int) -> bool:
 
 def _slots(arms: Arms) -> Asked | Missing:
     """The same initial states in other slots."""
-    base = first_of(arms.varied)
-    if isinstance(base, Missing):
-        return base
-    if arms.shifted is None:
-        return Missing("needs a run whose initial states are in other slots")
-    shift = Initial.parse(arms.shifted.configuration.initial).shift
-    pairs = tuple(((env + shift) % arms.n_env, env) for env in range(arms.n_env))
+    both = _begun_otherwise(arms, "shift")
+    if isinstance(both, Missing):
+        return both
+    base, shifted, initial = both
+    pairs = tuple(((env + initial.shift) % arms.n_env, env) for env in range(arms.n_env))
     return decided_alone(
-        compare_pairs(Pairs(base, arms.shifted, pairs)), f"the same {_begun(arms)}, {shift} slots further"
+        compare_pairs(Pairs(base, shifted, pairs)), f"the same {_begun(arms)}, {initial.shift} slots further"
     )
 
 
 def _neighbours(arms: Arms) -> Asked | Missing:
     """One environment among others that begin otherwise."""
-    base = first_of(arms.varied)
-    if isinstance(base, Missing):
-        return base
-    if arms.but is None:
-        return Missing("needs a run in which all environments but one begin otherwise")
-    kept = Initial.parse(arms.but.configuration.initial).but
-    assert kept is not None
-    other = f"environment {kept} among neighbours of other {_begun(arms)}"
-    return decided_alone(compare_pairs(Pairs(base, arms.but, ((kept, kept),))), other)
+    both = _begun_otherwise(arms, "but")
+    if isinstance(both, Missing):
+        return both
+    base, others, initial = both
+    assert initial.but is not None
+    compared = f"environment {initial.but} among neighbours of other {_begun(arms)}"
+    return decided_alone(compare_pairs(Pairs(base, others, same_slots([initial.but]))), compared)
+
+
+def _mirrored(arms: Arms) -> Asked | Missing:
+    """The mirror images of all environments with what went on from the mirror images of their initial states."""
+    both, base = _begun_otherwise(arms, "mirror"), first_of(arms.varied)
+    axes = INITIAL_KINDS["mirror"].probed(arms.n_env) if isinstance(both, Missing) else both[2].mirror
+    if not isinstance(base, Missing) and (why := why_unlike_its_image(base.scene, str(axes))):
+        return Missing(f"the scene is not its own mirror image: {why}")
+    if isinstance(both, Missing):
+        return both
+    base, images, _ = both
+    pairs = Pairs(base, images, same_slots(range(arms.n_env)), mirror=str(axes))
+    plane = "z axis, by a half turn" if axes == "xy" else f"plane {axes} = 0"
+    return decided_alone(compare_pairs(pairs), f"the same {_begun(arms)}, mirrored in the {plane}")
 
 
 def _captured(arms: Arms) -> Asked | Missing:
@@ -329,6 +351,7 @@ QUESTIONS = (
         goes_on("excursion", "saved at step {step}, {more} further steps, restored"),
     ),
     Question("process", "a snapshot goes on in another process as before", process),
+    Question("mirrored", "a mirrored state goes on as the mirrored one", _mirrored, gate=False),
     Question("device", "independent of the device", _device, gate=False, asked_of_few=True),
     Question(
         "set", "positions and velocities are the whole state",

@@ -4,6 +4,7 @@ snapshot."""
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,9 +24,10 @@ from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.contents import Message
 from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.mirror import mirrored, why_unlike_its_image
 from gpusimbench.schemas.provenance import SIMULATION, Simulation
 from gpusimbench.schemas.tosses import NOTICE
-from gpusimbench.schemas.treatment import GIVEN, MOST_SPREAD, TEACHER, Given, Initial, parse_initial
+from gpusimbench.schemas.treatment import GIVEN, INITIAL_KINDS, MOST_SPREAD, TEACHER, Given, Initial, parse_initial
 
 ITEMS = "items"
 """Of given states: GROUP/items has the names of a group's bodies or joints, in the order of its arrays."""
@@ -52,7 +54,10 @@ def begin(simulator: Simulator, description: Description, text: str, given: byte
     how = parse_initial(text)
     if not isinstance(how, Given):
         first = tuple(np.array(array) for array in simulator.state())
-        simulator.set_state(drawn_states(how, simulator.scene, description.fields, first, simulator.seed))
+        states = drawn_states(how, simulator.scene, description.fields, first, simulator.seed)
+        if how.mirror:
+            states = mirror_images(states, how.mirror, description.fields, description.env_origins)
+        simulator.set_state(states)
         return
     if given is None:
         raise UsageError(f"the run begins with states that were given ({text}), and they are not there")
@@ -199,6 +204,24 @@ def _added(field: str, bodies: Sequence[Body | None], drawn: NDArray[np.float64]
     return None
 
 
+def mirror_images(
+    states: States, axes: str, fields: Sequence[StateField], origins: Sequence[tuple[float, float, float]]
+) -> tuple[NDArray[np.floating], ...]:
+    """States [env, item, width] of these fields, mirrored in a plane through the origin of each environment.
+
+    axes     as of schemas.treatment.AXES
+    origins  of the environments [m]; empty where all are at zero
+    """
+    found = []
+    for layout, array in zip(fields, states, strict=True):
+        if layout.field == "position" and layout.frame == "world" and origins:
+            place = np.array(origins)[:, np.newaxis]
+            found.append((mirrored(layout.field, array - place, axes) + place).astype(array.dtype))
+        else:
+            found.append(mirrored(layout.field, array, axes))
+    return tuple(found)
+
+
 def orientations(initial: Initial, seed: int, field: int, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Unit quaternions wxyz, uniform over all rotations, of this shape [env, item] and 4, the same on every machine.
 
@@ -219,18 +242,20 @@ def draw(initial: Initial, seed: int, field: int, shape: tuple[int, ...]) -> NDA
     return draws.draw(initial, initial.spread, seed=seed, stream=_STREAM, field=field, shape=shape)
 
 
-def parse(text: str, n_env: int) -> str:
+def parse(text: str, n_env: int, scene: Scene) -> str:
     """What --initial says of drawn states, as the recording keeps it. UsageError where nothing can be drawn so."""
     try:
         drawn = Initial.parse(text)
         if drawn.spread < GRID or (drawn.but or 0) >= n_env:
             raise ValueError(text)
     except ValueError:
+        ends = " or ".join(f",{kind.name}:{kind.value}" for kind in INITIAL_KINDS.values())
         raise UsageError(
             f"--initial is random:SPREAD, with a spread from {GRID!r} to {MOST_SPREAD:g} (of velocities in m/s, of "
-            "joint angles in rad), and may end with ,shift:K or with ,but:E, an environment, "
-            f"not '{text}'"
+            f"joint angles in rad), and may end with {ends}, with E an environment, and AXES x, y or xy, not '{text}'"
         ) from None
+    if drawn.mirror and (why := why_unlike_its_image(json.loads(scene.to_json()), drawn.mirror)):
+        raise UsageError(f"--initial {text}: scene '{scene.name}' is not its own mirror image: {why}")
     return str(drawn)
 
 

@@ -36,7 +36,7 @@ from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.commands.folder_lock import folder_lock as held_by
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
+from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from gpusimbench.schemas.treatment import Initial, Intervention
 from tests.conftest import Command, call, made_once
 from tests.synthetic import grid, write_recording
@@ -72,6 +72,8 @@ def _world(arm: Arm, planted: Planted | None) -> Callable[[NDArray[Any], int], N
                 found[env] = np.nan
                 continue
             found[env] += np.float32(0.001) * age * np.sin(np.arange(27, dtype=np.float32) + who)[:, None]
+        if arm.initial and "y" in Initial.parse(arm.initial).mirror:
+            found[..., 1] = -found[..., 1]
         if planted is not None:
             planted(found, step)
         return found
@@ -95,7 +97,7 @@ def _write(
     moved = _world(arm, planted)
     path = write_recording(
         folder, moved(start, PLAN.steps), steps=PLAN.steps, dt=0.01, elapsed_s=None, change=treated,
-        path_of=lambda _, step: moved(start, step), **keywords,
+        path_of=lambda _, step: moved(start, step), begins=moved(start, 0), **keywords,
     )  # fmt: skip
     return Recording(place(str(path)))
 
@@ -117,9 +119,10 @@ def _moved(env: int, body: int, step: int, ulps: int = 1) -> Planted:
 
 
 ARMS = [arm for arm in PLAN.arms() if not arm.snapshot and not arm.continued]
-"""plain, usual, 1, 2 and 8 environments, shifted, all but one, one for each kind of intervention, usual, plain."""
+"""plain, usual, 1, 2 and 8 environments, shifted, all but one, mirrored, one a kind of intervention, usual, plain."""
 
 TREATED = {done.name: at for at, arm in enumerate(ARMS) if (done := Intervention.of(arm.intervention))}
+MIRRORED = next(at for at, arm in enumerate(ARMS) if "mirror" in arm.initial)
 USUAL_AGAIN, PLAIN_AGAIN = len(ARMS) - 2, len(ARMS) - 1
 
 
@@ -153,6 +156,7 @@ def test_nothing_planted(tmp_path: Path) -> None:
         (3, 1, 5, "number", 1),
         (5, 1, 4, "slot", 2),
         (6, 0, 6, "neighbours", 0),
+        (MIRRORED, 3, 8, "mirrored", 3),
         (TREATED["poison"], 2, AT + 2, "poison", 2),
         (TREATED["reset"], 1, AT + 2, "bystanders", 1),
         (TREATED["reset"], 2, AT + 3, "fresh", 2),
@@ -193,6 +197,59 @@ def test_a_sign_planted(tmp_path: Path) -> None:
     said = evidence(asked)
     assert "first by opposite signs (env 1, cube" in said
     assert "ULP" not in said
+
+
+def test_mirror_images(tmp_path: Path) -> None:
+    """Compare a mirrored run with the mirror image of the usual one: zeros have no sign, and everything else counts."""
+
+    def zeros(sign: float) -> Planted:
+        def plant(positions: NDArray[Any], now: int) -> None:
+            positions[2, 3] = sign * 0.0
+
+        return plant
+
+    arms = {at: zeros(-1.0) for at in (1, USUAL_AGAIN)} | {MIRRORED: zeros(-1.0)}
+    asked = _probe(tmp_path / "zeros", arms)["mirrored"]
+    assert asked.answer is Answer.YES
+    assert evidence(asked) == f"bit-identical: {PLAN.n_env} pairs, {PLAN.steps + 1} steps"
+    assert asked.compared == "the same initial states, mirrored in the plane y = 0"
+
+    def unmirrored(positions: NDArray[Any], now: int) -> None:
+        if now >= 5:
+            positions[1, 7, 1] *= -1
+
+    found = _probe(tmp_path / "sides", {MIRRORED: unmirrored})["mirrored"]
+    assert found.answer is Answer.NO and found.found is not None and found.found.first is not None
+    assert (found.found.differing, found.found.first_step, found.found.first.signs_differ) == (1, 5, True)
+
+
+def test_mirror_images_that_are_not_asked(tmp_path: Path) -> None:
+    """Say why, of old recordings without the arm, of a scene that has another mirror image, and of origins."""
+    usual, mirrored = ARMS[1], ARMS[MIRRORED]
+
+    def reason(*recordings: Recording) -> str:
+        (arms,) = arms_of(recordings)
+        (found,) = (finding for finding in answers(arms) if finding.key == "mirrored")
+        assert found.answer is Answer.NOT_ASKED
+        return found.reason
+
+    def tilted(name: str, record: dict[str, Any]) -> None:
+        if name == SCENE:
+            record["gravity"] = [0.0, 1.0, -9.81]
+
+    assert reason(_write(tmp_path, usual)) == "needs a run with --initial random:SPREAD,mirror:AXES"
+    both = [_write(tmp_path / "tilted", arm, also=tilted) for arm in (usual, mirrored)]
+    why = "the scene is not its own mirror image: gravity is not along z"
+    assert reason(*both) == reason(both[0]) == why
+    turned = replace(mirrored, initial=mirrored.initial.replace(":y", ":xy"))
+    half = [_write(tmp_path / "half", arm) for arm in (usual, turned)]
+    assert reason(*half) == "the scene is not its own mirror image: no fixed body is the mirror image of 'board'"
+    for axis, apart in ((0, False), (1, True)):
+        origins = tuple(tuple(4.0 * env * (at == axis) for at in range(3)) for env in range(PLAN.n_env))
+        one, other = (_write(tmp_path / str(axis), arm, origins=origins) for arm in (usual, mirrored))
+        found = compare_pairs(Pairs(one, other, ((1, 1),), mirror="y"))
+        assert isinstance(found, Missing) == apart
+        assert not apart or "beside the mirror's plane" in str(found)
 
 
 def test_far_apart(tmp_path: Path) -> None:
@@ -251,11 +308,14 @@ def test_noise_leaves_causes_open(tmp_path: Path) -> None:
 def test_what_is_not_there_is_not_asked(tmp_path: Path) -> None:
     """Name what a question needs, and the reason where the run for it failed."""
     failed = _write(tmp_path, ARMS[TREATED["set"]], status="FAILED", reason="no room", cause="ENGINE")
-    (arms,) = arms_of([_write(tmp_path, ARMS[1]), failed])
+    shifted = _write(tmp_path, ARMS[5], status="FAILED", reason="no time", cause="ENGINE")
+    (arms,) = arms_of([_write(tmp_path, ARMS[1]), failed, shifted])
     found = {finding.key: finding for finding in answers(arms)}
     assert {finding.answer for finding in found.values()} == {Answer.NOT_ASKED}
     assert found["set"].reason == "its run is failed: no room"
     assert found["restored"].reason == "needs a run with --intervene excursion@STEP+MORE"
+    assert found["slot"].reason == "its run is failed: no time"
+    assert found["neighbours"].reason == "needs a run with --initial random:SPREAD,but:E"
     assert found["number"].reason == "needs runs of other numbers of environments"
     assert verdict_of(list(found.values())) == "no question of gsb-probe has the runs that it compares"
 
@@ -313,7 +373,7 @@ def test_arms_of_other_sizes(tmp_path: Path) -> None:
     """Hold no arm against runs of another number of environments, but for the question about numbers."""
     foreign = [Arm(2, ARMS[5].initial), Arm(2, ARMS[6].initial), replace(ARMS[TREATED["reset"]], n_env=2)]
     (arms,) = arms_of([_write(tmp_path, arm) for arm in (*foreign, *ARMS[:2], *ARMS[USUAL_AGAIN:])])
-    assert arms.shifted is arms.but is None
+    assert arms.otherwise == {}
     assert arms.treated == {}
     assert {finding.key: finding for finding in answers(arms)}["slot"].answer is Answer.NOT_ASKED
 
@@ -342,9 +402,10 @@ def _probed(folder: Path) -> None:
         "gsb-probe", "--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", folder / "out",
         "--json", folder / "answers.json", code=0,
     )  # fmt: skip
-    assert len(done.stdout.splitlines()) <= 19
+    assert len(done.stdout.splitlines()) <= 22
     asked = sum(not question.asked_of_few for question in QUESTIONS)
-    said = f"{asked - 1} of {asked} answers are yes; no: positions and velocities are the whole state"
+    no = "a mirrored state goes on as the mirrored one, positions and velocities are the whole state"
+    said = f"{asked - 2} of {asked} answers are yes; no: {no}"
     assert said in " ".join(done.stdout.split())
 
 
@@ -361,11 +422,12 @@ def probed() -> Path:
 
 @pytest.mark.slow
 def test_mujoco(probed: Path) -> None:
-    """Find that MuJoCo C depends on nothing, and that it has more of a state than positions and velocities."""
+    """Find that MuJoCo C depends on nothing but the side on which boxes touch, and that it has more of a state than
+    positions and velocities."""
     (probe,) = json.loads((probed.parent / "answers.json").read_text())["probes"]
     assert probe["simulator"] == "mujoco"
     said = {answer["key"]: answer for answer in probe["answers"]}
-    assert {key for key, answer in said.items() if answer["answer"] == "no"} == {"set"}
+    assert {key for key, answer in said.items() if answer["answer"] == "no"} == {"mirrored", "set"}
     assert said["set"]["found"]["first_step"] == 11
     assert said["runs"]["found"]["level"] == "bit_identical"
 

@@ -13,15 +13,18 @@ from hypothesis import strategies as st
 
 from gpusimbench import open_recording
 from gpusimbench.recorder.run.intervention import DOING
-from gpusimbench.recorder.run.start import GRID, draw, parse
+from gpusimbench.recorder.run.start import GRID, draw, mirror_images, parse
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from gpusimbench.schemas.fields import body_fields
+from gpusimbench.schemas.mirror import mirrored
 from gpusimbench.schemas.treatment import KINDS, MOST_SPREAD, Initial, Intervention
 from tests.conftest import Command, call
 
 _SHORT = ("--n-env", "4", "--steps", "3", "--phases", "capture", "--initial", "random:0.1", "--seed", "7")
 _WORD = 0xFFFFFFFF
+FALL = make_scene("free-fall")
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +119,36 @@ def test_the_first_state(recorded: tuple[Path, Path]) -> None:
             assert all(np.array_equal(env, first[0]) for env in first)
 
 
+def test_mirror_images(recorded: tuple[Path, Path], gsb_record: Command, tmp_path: Path) -> None:
+    """Begin each environment in the mirror image of its usual state, to the last bit; zeros have no sign."""
+    again = ("--sim", "mujoco", "--runs", "1", *_SHORT, "--initial", "random:0.1,mirror:y", "--out", tmp_path)
+    images, usual = open_recording(Path(gsb_record(*again, code=0).stdout.strip())), open_recording(recorded[0])
+    assert images.configuration.initial == "random:0.1,mirror:y"
+    for layout in usual.fields:
+        one, other = (np.asarray(r.state(layout.group, layout.field))[0] for r in (usual, images))
+        assert other.tobytes() == mirrored(layout.field, one, "y").tobytes()
+        assert layout.field != "linear_velocity" or (other[..., 1] == -one[..., 1]).all()
+
+
+def test_scenes_without_mirror_images(gsb_record: Command, tmp_path: Path) -> None:
+    """Refuse to mirror states among fixed bodies that are not mirrored, and say which."""
+    for scene, axes, why in (
+        ("franka", "y", "it has a robot, whose mirror image is not known"),
+        ("inclined-collision", "xy", "no fixed body is the mirror image of 'board'"),
+    ):
+        asked = ("--sim", "mujoco", "--scene", scene, "--initial", f"random:0.1,mirror:{axes}", "--out", tmp_path)
+        assert f"scene '{scene}' is not its own mirror image: {why}" in gsb_record(*asked, code=2).stderr
+
+
+def test_images_beside_origins() -> None:
+    """Mirror positions in the plane through the origin of their environment, and velocities as everywhere."""
+    fields, origins = body_fields(FALL.groups(), "float64"), ((0.0, 0.0, 0.0), (0.0, 8.0, 0.0))
+    states = tuple(np.ones((2, len(layout.items), layout.width)) for layout in fields)
+    found = dict(zip([f.field for f in fields], mirror_images(states, "y", fields, origins), strict=True))
+    assert found["position"][:, 0].tolist() == [[1, -1, 1], [1, 15, 1]]
+    assert found["linear_velocity"][:, 0].tolist() == [[1, -1, 1]] * 2
+
+
 def test_runs_begin_alike(recorded: tuple[Path, Path]) -> None:
     """Begin environment by environment in the same state in each run: what differs is then the engine's doing."""
     one, other = (open_recording(path) for path in recorded)
@@ -190,9 +223,9 @@ def test_nothing_that_can_be_drawn(text: str, gsb_record: Command, tmp_path: Pat
     named = re.search(r"--initial is random:SPREAD, with a spread from (\S+) to (\S+) ", done.stderr)
     assert named
     for limit in named.groups():
-        assert parse(f"random:{limit}", 16)
+        assert parse(f"random:{limit}", 16, FALL)
     with pytest.raises(UsageError):
-        parse(text, 16)
+        parse(text, 16, FALL)
     known = RunConfiguration("mujoco", "free-fall", 1, 0.01, 10, initial="random:0.1").to_json()
     with pytest.raises(DamagedRecording, match="initial has an unknown value"):
         RunConfiguration.from_json({**known, "initial": text})
@@ -200,7 +233,7 @@ def test_nothing_that_can_be_drawn(text: str, gsb_record: Command, tmp_path: Pat
 
 def test_what_is_kept() -> None:
     """Keep a spread to the last digit, and say nothing of what begins as its scene does."""
-    assert Initial.parse(parse("random:1e-1", 1)).spread == 0.1
+    assert Initial.parse(parse("random:1e-1", 1, FALL)).spread == 0.1
     plain = RunConfiguration("mujoco", "free-fall", 1, 0.01, 10)
     assert "initial" not in plain.to_json()
     drawn = RunConfiguration.from_json({**plain.to_json(), "initial": "random:0.30000000000000004"})

@@ -22,8 +22,8 @@ _TONES = {Answer.YES: Tone.GOOD, Answer.NO: Tone.BAD, Answer.OPEN: Tone.WARNING,
 
 _METHOD = (
     "Short runs that differ in one thing alone are compared bit by bit. Open: runs of the same configuration differ, "
-    "too, so that nothing can be said of the cause. The last question, and that about the device, are no "
-    "defects where the answer is no."
+    "too, so that nothing can be said of the cause. The answer no is no defect to the last question, and to those "
+    "about the device and about mirrored states."
 )
 
 

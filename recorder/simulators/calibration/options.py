@@ -30,6 +30,8 @@ FAULTS = {
     "fresh": "where some are reset, they begin moved",
     "restored": "what is restored is moved",
     "process": "what is restored in a process that has made no step is moved",
+    "mirrored": "from step `at` on, an environment is moved after each step that leaves its last body with a velocity "
+    "towards negative y",
     "set": "what is given a state after the first step is moved",
     "capture": "what is stepped without being captured is moved",
 }
@@ -53,7 +55,8 @@ class CalibrationOptions:
     entropy   what a run that differs from others draws: run (anew in each process), build (anew in each build), or
               hexadecimal digits after the point of a number from 0 to 1
     fault     planted for gsb-probe, in regime identical, of the size `ulps`: none, number, slot, neighbours, poison,
-              bystanders, fresh, restored, process, set or capture (FAULTS in its options.py says what each does)
+              bystanders, fresh, restored, process, mirrored, set or capture (FAULTS in its options.py says what each
+              does)
     device    auto, cpu or cuda (the first GPU that CUDA shows)
 
     Without a shift in metres or ulps, the cause of differences is rounding.

@@ -167,6 +167,8 @@ class Fault:
         if self._name == "neighbours" and world.done >= self._at:
             words = np.roll(world.state()[1], -1, axis=0).view(np.uint32).reshape(self._n_env, -1)
             world.nudge((self._ulps * (np.bitwise_xor.reduce(_parity(words), axis=1))).astype(np.int32))
+        if self._name == "mirrored" and world.done >= self._at:
+            world.nudge((self._ulps * (world.state()[1][:, -1, 1] < 0)).astype(np.int32))
 
     def after_uncaptured(self, world: Nudged) -> None:
         """Once steps were made that nobody captures."""

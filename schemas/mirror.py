@@ -1,0 +1,89 @@
+"""Mirror images of states and scenes, in vertical planes through the origin of an environment.
+
+A reflection changes signs alone, so it is exact, and rounding to nearest commutes with it. With S the diagonal matrix
+of the signs, of a body that is its own mirror image in its own axes, as boxes, spheres and capsules are:
+
+    position, linear velocity      S p
+    rotation matrix R              S R S: the body's axes are mirrored too, so that it stays right-handed
+    angular velocity               det(S) S w, as of an axial vector: skew(w) becomes S skew(w) S
+    quaternion (c, u)              (c, det(S) S u): of R's axis and angle, the axis is axial, the angle stays
+
+A zero is its own mirror image, without a sign: exact cancellation gives +0.0 on both sides of the plane, so IEEE
+arithmetic itself does not mirror the sign of a zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_POLAR = ("position", "linear_velocity")
+_AXIAL = ("angular_velocity", "orientation")
+_SHAPES = ("box", "sphere", "capsule", "plane")  # each its own mirror image in its own axes
+
+
+def can_mirror(field: str) -> bool:
+    """Whether a state field has a mirror image that is known here; joints have none."""
+    return field in (*_POLAR, *_AXIAL)
+
+
+def mirrored(field: str, values: NDArray[Any], axes: str) -> NDArray[Any]:
+    """The mirror image of a state field's numbers [..., component], orientations wxyz, exact, zeros without a sign.
+
+    axes  of treatment.AXES, or empty: the numbers as they are, zeros without a sign
+    """
+    signs = np.array([-1.0 if axis in axes else 1.0 for axis in "xyz"])
+    if field in _AXIAL:
+        signs = signs * signs.prod()
+    if field == "orientation":
+        signs = np.concatenate([[1.0], signs])
+    return np.asarray(values * signs.astype(values.dtype) + values.dtype.type(0.0))
+
+
+def why_unlike_its_image(scene: Mapping[str, Any], axes: str) -> str:
+    """Why a scene, described as in scene.json, is not its own mirror image; empty where it is.
+
+    Its fixed bodies must be those of the mirror image, to the last bit, in any order: each its own image, or that of
+    another. Of moving bodies only the shape matters, for their states are mirrored with them.
+    """
+    for part, words in (("files_sha256", "a model file"), ("robot", "a robot"), ("actions", "actions")):
+        if scene.get(part):
+            return f"it has {words}, whose mirror image is not known"
+    try:
+        gravity = np.array(scene["gravity"], dtype=np.float64)
+        bodies = [(str(body["name"]), str(body["shape"]["kind"]), body) for body in scene["bodies"]]
+        fixed = [(name, _pose(body), body) for name, _, body in bodies if body.get("mass") is None]
+        if odd := next((name for name, shape, _ in bodies if shape not in _SHAPES), ""):
+            return f"the mirror image of the shape of '{odd}' is not known"
+        if not np.array_equal(mirrored("position", gravity, axes), gravity):
+            return "gravity is not along z"
+        left = list(fixed)
+        for name, (position, orientation), body in fixed:
+            image = mirrored("position", position, axes), mirrored("orientation", orientation, axes)
+            found = next((at for at, one in enumerate(left) if _same(image, body, one[1], one[2])), None)
+            if found is None:
+                return f"no fixed body is the mirror image of '{name}'"
+            left.pop(found)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+        return "its description cannot be read"
+    return ""
+
+
+def _pose(body: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    position, orientation = (np.array(body[name], dtype=np.float64) for name in ("position", "orientation"))
+    if position.shape != (3,) or orientation.shape != (4,):
+        raise ValueError(position.shape, orientation.shape)
+    return position, orientation
+
+
+def _same(
+    image: tuple[NDArray[np.float64], NDArray[np.float64]], body: Mapping[str, Any],
+    pose: tuple[NDArray[np.float64], NDArray[np.float64]], other: Mapping[str, Any],
+) -> bool:  # fmt: skip
+    # a quaternion and its opposite are one rotation
+    turned = np.array_equal(image[1], pose[1]) or np.array_equal(-image[1], pose[1])
+    made = all(body[part] == other[part] for part in ("shape", "material"))
+    return np.array_equal(image[0], pose[0]) and turned and made
