@@ -43,10 +43,14 @@ Times = NDArray[np.float64]
 
 
 def deviations() -> list[float]:
-    """SD of the logarithm of the throughput, of every configuration with three runs in the two sets that the document's
-    simulations were made for: recordings/*.mcap and recordings/h200."""
+    """SD of the logarithm of the throughput, of every configuration with three runs in the sets that the document's
+    simulations were made for: recordings/*.mcap, recordings/h200 and recordings/protocol-h200."""
     reader = Reader(5.0, verify=False)
-    shipped = [*RECORDINGS.glob("*.mcap"), *(RECORDINGS / "h200").glob("*.mcap")]
+    shipped = [
+        *RECORDINGS.glob("*.mcap"),
+        *(RECORDINGS / "h200").glob("*.mcap"),
+        *(RECORDINGS / "protocol-h200").glob("*.mcap"),
+    ]
     files = list(read_all(sorted(shipped), reader, HERE))
     assert FPS.values is not None
     found = []

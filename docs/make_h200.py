@@ -1,4 +1,4 @@
-"""Redraws tables of README.md, docs/determinism.md, docs/probe-results.md and the cards of recordings/h200 and h100.
+"""Redraws tables of README.md, docs/determinism.md, docs/probe-results.md and of the cards of recordings from GPUs.
 
 usage: python docs/make_h200.py
 """
@@ -38,15 +38,25 @@ from gpusimbench.evaluator.runs.groups import GroupKey
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "recordings" / "h200"
-OF_PROTOCOL = ROOT / "recordings" / "h100"
+OF_PROTOCOL = (ROOT / "recordings" / "h100", ROOT / "recordings" / "protocol-h200")
 PROBED = (ROOT / "recordings" / "probe", ROOT / "recordings" / "probe-h100")
 _SCENE = "inclined-collision"
 _NONE = "-"
 
 
 def shipped() -> Evaluation:
-    """The evaluation of the set."""
+    """The evaluation of the set of levels and sweeps."""
     return evaluate_files(sorted(FOLDER.glob("*.mcap")))
+
+
+def of_protocol(folder: Path) -> list[Path]:
+    """Runs that were made by the protocol."""
+    return [path for path in sorted(folder.glob("*.mcap")) if "dense" not in path.name]
+
+
+def on_h200() -> Evaluation:
+    """The evaluation of all that an H200 did in inclined-collision."""
+    return evaluate_files([*sorted(FOLDER.glob(f"*{_SCENE}*.mcap")), *of_protocol(OF_PROTOCOL[1])])
 
 
 def _who(result: GroupResult) -> str:
@@ -260,11 +270,10 @@ def _answer(finding: Finding) -> str:
 
 def blocks(evaluation: Evaluation) -> dict[Path, dict[str, str]]:
     """What the pages should show, by the names of their markers."""
-    timed_runs = evaluate_files(sorted(one for one in OF_PROTOCOL.glob("*.mcap") if "dense" not in one.name))
-    return {
+    cards = {one / "README.md": {"verdicts": verdicts(evaluate_files(of_protocol(one)))} for one in OF_PROTOCOL}
+    return cards | {
         FOLDER / "README.md": {"verdicts": verdicts(evaluation), "sweeps": sweeps(evaluation)},
-        OF_PROTOCOL / "README.md": {"verdicts": verdicts(timed_runs)},
-        ROOT / "README.md": {"h200": answers(evaluation)},
+        ROOT / "README.md": {"h200": answers(on_h200())},
         ROOT / "docs" / "determinism.md": {"switches": switches(evaluation)},
         ROOT / "docs" / "probe-results.md": {"probe": invariance()},
     }

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 GOLDEN = Path(__file__).resolve().parent / "golden"
 _TOP = ("amd-r0", "amd-r1", "amd-r2", "pyramidal-r0", "pyramidal-r1", "xeon-r0", "xeon-r1", "xeon-r2")
 _FILES = tuple(f"recordings/mujoco-{name}.mcap" for name in _TOP)
-_H200 = "recordings/h200/newton-xpbd-inclined-collision-n16-r"
+_H200 = "recordings/protocol-h200/physx-inclined-collision-n16-r"
 COMMANDS = {
     "eval": ("eval", *_FILES, "--no-cache"),
     "eval-sweep": ("eval", *(f"recordings/h200/warp-free-fall-n{n}-r0.mcap" for n in (1, 4096, 32768)), "--no-cache"),

@@ -12,11 +12,17 @@ RECORD=${RECORD:-gsb-record}
 UNTIL=${UNTIL:-9999999999}
 simulators=( # a name, and its options
   "warp --sim warp"
-  "physx --sim physx"
-  "genesis --sim genesis"
-  "newton-xpbd --sim newton --solver xpbd"
   "newton-mujoco --sim newton --solver mujoco"
+  "newton-xpbd --sim newton --solver xpbd"
   "mjx-jax --sim mjx --impl jax"
+  "mjx-warp --sim mjx --impl warp"
+  "playground --sim playground"
+  "brax --sim brax"
+  # each of these is in an environment of its own: gsb-record --setup NAME
+  "genesis --sim genesis"
+  "physx --sim physx"
+  "isaaclab-ovphysx --sim isaaclab --backend ovphysx"
+  "isaaclab-newton --sim isaaclab --backend newton"
 )
 if [ $# -gt 0 ]; then
   chosen=()

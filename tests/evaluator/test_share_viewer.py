@@ -25,7 +25,7 @@ from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT
 
 SHIPPED = ROOT / "recordings" / "mujoco-amd-r0.mcap"
-WITH_ORIGINS = ROOT / "recordings" / "h200" / "isaaclab-ovphysx-inclined-collision-n16-r0.mcap"
+WITH_ORIGINS = ROOT / "recordings" / "protocol-h200" / "isaaclab-ovphysx-inclined-collision-n16-r0.mcap"
 
 
 def layout_of(path: Path) -> Any:
