@@ -53,10 +53,8 @@ lint: $(VENV)/.installed-test
 	$(BIN)/mypy docs benchmarks recordings
 	$(BIN)/lint-imports
 
-# Hundreds of processes load the same modules, which are compiled once: by the first that loads them, for most modules of
-# the packages are never loaded. (0 is how pip is told --no-compile in a variable.)
+# Hundreds of processes load the same modules, which are compiled once.
 test test-all: export PYTHONDONTWRITEBYTECODE :=
-test test-all: export PIP_NO_COMPILE := 0
 
 # Files of tests are spread over JOBS processes, in their order; those that mind what runs beside them come after.
 test: lint

@@ -114,7 +114,7 @@ class InitialKind:
         return f"random:SPREAD,{self.name}:{self.value}"
 
 
-_INITIAL_KINDS = (
+_DRAWN_STATES = (
     InitialKind(
         "shift", "K", "begins each environment as the one K slots further", int,
         probed=lambda n_env: max(1, n_env // 3) if n_env > 1 else None,
@@ -128,7 +128,7 @@ _INITIAL_KINDS = (
         probed=lambda n_env: "y",
     ),
 )  # fmt: skip
-INITIAL_KINDS = {kind.name: kind for kind in _INITIAL_KINDS}
+INITIAL_KINDS = {kind.name: kind for kind in _DRAWN_STATES}
 """Kinds of initial states by name."""
 
 
