@@ -66,5 +66,5 @@ def _tells_of_steps(course: Course) -> bool:
 
 def _bytes_a_step(run: Run, course: Course, where: str) -> float:
     used: tuple[int, ...] = getattr(course, where)
-    share = 1 - 1 / len(used) if used else 0.0
-    return steady_growth(used, course.seconds * share) / ((run.timed_steps or 1) * share) if used else 0.0
+    half = 0.5  # of the windows, to which the readings belong
+    return steady_growth(used, half * course.stepped) / (half * (run.timed_steps or 1))

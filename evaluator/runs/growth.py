@@ -12,7 +12,7 @@ from gpusimbench.evaluator.read.streams import MemoryTrace, StepTiming
 from gpusimbench.evaluator.runs.validation import NOT_TIMED
 
 _PARTS = 10  # of a window
-_MEMORY_PARTS = 6  # of which the first is left to what fills once
+_MEMORY_PARTS = 6
 _WINDOWS = 64
 
 
@@ -24,7 +24,9 @@ class Course:
     windows  how long the same steps took, each time that they were timed [s]; of many, means of neighbours
     parts    time of a step in tenths of the window, mean over windows [s]; empty where fewer intervals were clocked
     work     what was counted at the first and at the last timed step, mean over environments, by counter
-    host     memory of the process after each sixth of the phase [byte]; empty where it was not read
+    stepped  all windows together [s], without what lies between them
+    host     memory of the process [byte]: in the middle of the first window, and after each sixth of the second halves
+             of all windows, without what it took elsewhere; empty where it was not read
     device   the same of its memory on the GPU
     """
 
@@ -32,6 +34,7 @@ class Course:
     windows: tuple[float, ...]
     parts: tuple[float, ...]
     work: dict[str, tuple[float, float]] = field(default_factory=dict)
+    stepped: float = 0.0
     host: tuple[int, ...] = ()
     device: tuple[int, ...] = ()
 
@@ -51,8 +54,9 @@ def course_of(recording: Recording) -> Course | Missing:
         windows=tuple(float(part.mean()) for part in np.array_split(each, few)),
         parts=_parts(timing, recording.configuration.timed_steps),
         work={name: (float(c.mean[0]), float(c.mean[-1])) for name, c in counts.items() if len(c.mean) > 1},
-        host=_after_parts(recording.memory.get("host"), timing),
-        device=_after_parts(recording.memory.get("gpu0/process"), timing),
+        stepped=float(each.sum()),
+        host=_late_in_windows(recording.memory.get("host"), timing),
+        device=_late_in_windows(recording.memory.get("gpu0/process"), timing),
     )
 
 
@@ -67,11 +71,20 @@ def _parts(timing: StepTiming, steps: int) -> tuple[float, ...]:
     return tuple(float(seconds.sum() / n.sum()) for seconds, n in zip(*split, strict=True))
 
 
-def _after_parts(trace: MemoryTrace | None, timing: StepTiming) -> tuple[int, ...]:
-    """What was in use by the last reading before the end of each part, in which it may have been equal for long."""
+def _late_in_windows(trace: MemoryTrace | None, timing: StepTiming) -> tuple[int, ...]:
+    """See Course.host. A reset, or the first call after it, may take memory, however many steps follow."""
     if trace is None:
         return ()
-    begin, end = int(timing.start_ns[0]), int(timing.end_ns[-1])
-    ends = [begin + (end - begin) * part // _MEMORY_PARTS for part in range(1, _MEMORY_PARTS + 1)]
-    rows = np.searchsorted(trace.time_ns, ends, side="right") - 1
-    return tuple(int(trace.used_bytes[row]) for row in rows) if rows[0] >= 0 else ()
+    windows = len(timing.windows)
+    begin, end = timing.start_ns.reshape(windows, -1)[:, :1], timing.end_ns.reshape(windows, -1)[:, -1:]
+    pieces = -(-_MEMORY_PARTS // windows)
+    middle = (begin + end) // 2
+    ends = middle + (end - middle) * np.arange(pieces + 1) // pieces
+    rows = (
+        np.searchsorted(trace.time_ns, ends, side="right") - 1
+    )  # the last reading, which may have been equal for long
+    if rows[0, 0] < 0:
+        return ()
+    used = np.asarray(trace.used_bytes, dtype=np.int64)[rows]
+    added = [int(part.sum()) for part in np.array_split(np.diff(used, axis=1).ravel(), _MEMORY_PARTS)]
+    return tuple(int(used[0, 0]) + sum(added[:parts]) for parts in range(_MEMORY_PARTS + 1))

@@ -23,6 +23,7 @@ from tests.synthetic import write_recording
 ROOT = Path(__file__).resolve().parents[2]
 H200 = ROOT / "recordings" / "h200"
 H100 = ROOT / "recordings" / "h100"
+PROTOCOL = ROOT / "recordings" / "protocol-h200"
 
 
 def read(path: Path) -> Run:
@@ -104,17 +105,20 @@ def test_growth_within_a_window(tmp_path: Path) -> None:
 
 
 def test_shipped_recordings() -> None:
-    """Find the leak of the calibration simulator, whose Taichi keeps something of every step, and none elsewhere."""
+    """Find the leak of the calibration simulator, whose Taichi keeps something of every step, and none elsewhere.
+
+    MJX with impl=warp takes memory after each reset, however many steps follow.
+    """
     said = {
         name: "; ".join(notes([read(path) for path in sorted(folder.glob(f"{name}-inclined-collision-n16-r?.mcap"))]))
         for folder, name in (
             (H200, "calibration-atomics"), (H200, "calibration-identical"), (H200, "genesis"), (H100, "warp"),
-            (H100, "physx"), (H100, "newton-mujoco"),
+            (H100, "physx"), (H100, "newton-mujoco"), (PROTOCOL, "mjx-warp"), (PROTOCOL, "playground"),
         )
     }  # fmt: skip
-    assert "the time of a step grew by 9 %" in said.pop("calibration-atomics")
-    assert "host memory of the process grew all the time while steps were timed, by 2.24 to 2.53 kB a step" in said.pop(
-        "calibration-identical"
+    assert "the time of a step grew by 9 %" in said["calibration-atomics"]
+    assert "host memory of the process grew all the time while steps were timed, by 52.1 to 65 kB a step" in said.pop(
+        "calibration-atomics"
     )
     assert not any(said.values()), said
 
