@@ -53,7 +53,8 @@ def judged(paths: Iterable[Path]) -> list[tuple[Fidelity, float]]:
 def shipped() -> list[tuple[Fidelity, float]]:
     """Those of the recordings that ship."""
     folder = ROOT / "recordings"
-    return judged([*sorted(folder.glob("*.mcap")), *sorted((folder / "h200").glob("*.mcap"))])
+    protocol = [path for path in (folder / "protocol-h200").glob("*.mcap") if "dense" not in path.name]
+    return judged([*sorted(folder.glob("*.mcap")), *sorted((folder / "h200").glob("*.mcap")), *sorted(protocol)])
 
 
 def changed() -> str:
