@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from make_h200 import of_protocol
 from page_blocks import redraw
 
 from gpusimbench.evaluator.read.recording import Recording
@@ -53,8 +54,8 @@ def judged(paths: Iterable[Path]) -> list[tuple[Fidelity, float]]:
 def shipped() -> list[tuple[Fidelity, float]]:
     """Those of the recordings that ship."""
     folder = ROOT / "recordings"
-    protocol = [path for path in (folder / "protocol-h200").glob("*.mcap") if "dense" not in path.name]
-    return judged([*sorted(folder.glob("*.mcap")), *sorted((folder / "h200").glob("*.mcap")), *sorted(protocol)])
+    protocol = of_protocol(folder / "protocol-h200")
+    return judged([*sorted(folder.glob("*.mcap")), *sorted((folder / "h200").glob("*.mcap")), *protocol])
 
 
 def changed() -> str:
