@@ -39,6 +39,7 @@ from gpusimbench.evaluator.runs.groups import GroupKey
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "recordings" / "h200"
 OF_PROTOCOL = (ROOT / "recordings" / "h100", ROOT / "recordings" / "protocol-h200")
+SWEPT = ROOT / "recordings" / "sweeps-h100"
 PROBED = (ROOT / "recordings" / "probe", ROOT / "recordings" / "probe-h100")
 _SCENE = "inclined-collision"
 _NONE = "-"
@@ -225,6 +226,23 @@ def sweeps(evaluation: Evaluation) -> str:
     return "\n".join([*lines, "", f"* {timed.LEGEND}"])
 
 
+def points(evaluation: Evaluation) -> str:
+    """The throughput of each number of environments, as a Markdown table."""
+    titles = ("scene", "simulator", "N", "runs", "env-steps/s", "relative SD", "timed steps", "seconds timed")
+    rows = []
+    for sweep in sorted(evaluation.sweeps, key=lambda s: (s.key.scene, s.label)):
+        for point in sweep.points:
+            fps = point.result.metrics["fps"]
+            if (mean := known(fps.value)) is None:
+                continue
+            sd = fps.sd or 0.0
+            rows.append((
+                sweep.key.scene, sweep.label, f"{point.n_env:,}", str(fps.n), f"{mean:,.0f} ± {sd:,.0f}",
+                f"{100 * sd / mean:.1f} %", timed.steps(point.result.timed), timed.seconds(point.result.timed),
+            ))  # fmt: skip
+    return "\n".join(_rows(titles, rows))
+
+
 def answers(evaluation: Evaluation) -> str:
     """What the first screen of a report says of each simulator, as Markdown."""
     results = [r for r in evaluation.results if r.group.key.scene == _SCENE]
@@ -271,8 +289,10 @@ def _answer(finding: Finding) -> str:
 def blocks(evaluation: Evaluation) -> dict[Path, dict[str, str]]:
     """What the pages should show, by the names of their markers."""
     cards = {one / "README.md": {"verdicts": verdicts(evaluate_files(of_protocol(one)))} for one in OF_PROTOCOL}
+    swept = evaluate_files(sorted(SWEPT.glob("*.mcap")))
     return cards | {
         FOLDER / "README.md": {"verdicts": verdicts(evaluation), "sweeps": sweeps(evaluation)},
+        SWEPT / "README.md": {"sweeps": sweeps(swept), "points": points(swept)},
         ROOT / "README.md": {"h200": answers(on_h200())},
         ROOT / "docs" / "determinism.md": {"switches": switches(evaluation)},
         ROOT / "docs" / "probe-results.md": {"probe": invariance()},

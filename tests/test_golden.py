@@ -22,12 +22,13 @@ GOLDEN = Path(__file__).resolve().parent / "golden"
 _TOP = ("amd-r0", "amd-r1", "amd-r2", "pyramidal-r0", "pyramidal-r1", "xeon-r0", "xeon-r1", "xeon-r2")
 _FILES = tuple(f"recordings/mujoco-{name}.mcap" for name in _TOP)
 _H200 = "recordings/protocol-h200/physx-inclined-collision-n16-r"
+_SWEEP = "recordings/sweeps-h100/warp-free-fall-n"
 COMMANDS = {
     "eval": ("eval", *_FILES, "--no-cache"),
-    "eval-sweep": ("eval", *(f"recordings/h200/warp-free-fall-n{n}-r0.mcap" for n in (1, 4096, 32768)), "--no-cache"),
+    "eval-sweep": ("eval", *(f"{_SWEEP}{n}-r0.mcap" for n in (512, 4096, 32768)), "--no-cache"),
     "check": ("check", *_FILES),
     "check-found": ("check", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "tests/hostile/found").glob("*.mcap"))),
-    "info": ("info", _FILES[0], "recordings/h200/warp-free-fall-n4096-r0.mcap"),
+    "info": ("info", _FILES[0], f"{_SWEEP}4096-r0.mcap"),
     "diff": ("diff", _FILES[0], _FILES[3]),
     "diff-envs": ("diff", "recordings/h200/physx-spacing-0-inclined-collision-n16-r0.mcap"),
     "compare": (

@@ -1,4 +1,4 @@
-"""The recordings that ship under recordings/h200 and protocol-h200, and what the documents say of them."""
+"""The recordings that ship under recordings/h200, protocol-h200 and sweeps-h100, and what the documents say of them."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from tests.scripts import drawn, script
 ROOT = Path(__file__).resolve().parent.parent
 PROTOCOL = ROOT / "recordings" / "protocol-h200"
 FILES = sorted((ROOT / "recordings" / "h200").glob("*.mcap"))
+SWEPT = sorted((ROOT / "recordings" / "sweeps-h100").glob("*.mcap"))
 NEWER = sorted(PROTOCOL.glob("*.mcap"))
 
 
@@ -63,11 +64,11 @@ def test_the_readme_says_what_probes_found(tables: Any) -> None:
 def test_rules_not_met_are_counted(evaluation: Any) -> None:
     """Count as gsb-check --protocol does, over the whole set and over its groups."""
     assert evaluation.unmet.findings == {
-        "runs": 66, "clocks-sampled": 62, "timed-seconds": 42, "window-begin": 16, "work-evidence": 14,
+        "runs": 34, "clocks-sampled": 53, "timed-seconds": 19, "window-begin": 16, "work-evidence": 11,
         "contacts-at-the-end": 9, "sample-step": 3, "same-window": 1,
     }  # fmt: skip
-    assert evaluation.unmet.count == 213
-    assert sum(result.timed.unmet.count for result in evaluation.results) == 217  # one window, five groups
+    assert evaluation.unmet.count == 146
+    assert sum(result.timed.unmet.count for result in evaluation.results) == 150  # one window, five groups
 
 
 @pytest.mark.slow
@@ -87,7 +88,7 @@ def test_nobody_is_named_whose_runs_are_wrong(tables: Any, evaluation: Any) -> N
     """Bar what is INVALID or breaks mechanics in any scene; keep the levels of MJX among the reproducible."""
     barred_at_16 = {c.figures.name for c in tables.on_h200().comparison.contenders if c.figures.barred}
     assert any(name.startswith("isaaclab [backend=newton") for name in barred_at_16)
-    compared = evaluation.comparison
+    compared = evaluate_files([*FILES, *SWEPT]).comparison
     barred = {c.figures.name for c in compared.contenders if c.figures.barred}
     for wrong in ("brax", "newton [determinism=default, solver=xpbd"):
         assert any(name.startswith(wrong) for name in barred), wrong
@@ -118,12 +119,25 @@ def test_six_configurations_meet_the_protocol(tables: Any) -> None:
 
 @pytest.mark.slow
 def test_every_file_is_whole() -> None:
-    """Verify every byte of every recording of both sets."""
-    assert (len(FILES), len(NEWER)) == (112, 90)
-    for path in (*FILES, *NEWER):
+    """Verify every byte of every recording of the three sets."""
+    assert (len(FILES), len(NEWER), len(SWEPT)) == (78, 90, 68)
+    for path in (*FILES, *NEWER, *SWEPT):
         recording = open_recording(path)
         verify(recording)
-        assert recording.simulation is None or recording.simulation.device == "NVIDIA H200"
+        device = "NVIDIA H100 80GB HBM3" if path in SWEPT else "NVIDIA H200"
+        assert recording.simulation is None or recording.simulation.device == device
+
+
+@pytest.mark.slow
+def test_sweeps_break_the_rules_that_their_card_names() -> None:
+    """Find three runs at each number of environments where ten are asked for, and uncounted contacts of PhysX alone."""
+    points = [point for sweep in evaluate_files(SWEPT).sweeps for point in sweep.points]
+    whole = [point.result for point in points if known(point.result.metrics["fps"].value) is not None]
+    assert len(whole) >= 20
+    for result in whole:
+        uncounted = {"work-evidence"} if result.group.key.simulator == "physx" else set()
+        assert set(result.timed.unmet.findings) - {"clocks-sampled"} == {"runs"} | uncounted
+        assert result.metrics["fps"].n == 3
 
 
 def test_the_set_is_small() -> None:

@@ -211,8 +211,12 @@ def _in_force(options: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in _without(options, _FOLLOWING).items() if value is not None}
 
 
-# which devices are visible is said by the device; these packages carry numbers and do not compute them
-_NOT_NUMERIC = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "mcap", "protobuf")
+VARIABLES_WITHOUT_EFFECT = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "WARP_CACHE_PATH")
+"""Variables of the environment that change no number: which devices are visible is said by the device, and the last one
+says where compiled kernels are kept."""
+
+# the packages carry numbers and do not compute them
+_NOT_NUMERIC = (*VARIABLES_WITHOUT_EFFECT, "mcap", "protobuf")
 
 # engines that only these simulators execute: for another simulator, that an engine is installed beside it is no
 # condition. Simulators that are not built in may execute any of them.

@@ -207,7 +207,7 @@ def test_nothing_to_draw(pair: tuple[str, str], tmp_path: Path, capsys: pytest.C
 
 def test_a_picture_of_hashes_alone(tmp_path: Path) -> None:
     """Draw which environments are equal where there are no distances."""
-    runs = [ROOT / "recordings" / "h200" / f"{name}-franka-n64-r0.mcap" for name in ("warp", "mjx-jax")]
+    runs = [ROOT / "recordings" / "sweeps-h100" / f"{name}-franka-n512-r0.mcap" for name in ("warp", "mjx")]
     assert main([*map(str, runs), "--plot", str(tmp_path / "hashes.svg")]) == 4
     assert "no distances: no positions of bodies" in (tmp_path / "hashes.svg").read_text()
 

@@ -31,9 +31,9 @@ PAGE = ROOT / "docs" / "json.md"
 
 SETS = {
     "several runs, a sweep that fails, a shared GPU, outcomes of throughput, a damaged file": (
-        "recordings/mujoco-amd-r*", "recordings/mujoco-pyramidal-r*", "recordings/h200/warp-free-fall-n*",
-        "recordings/h200/warp-franka-n[16]*", "recordings/h100/mjx-jax-*-r[0-7]", "recordings/h100/warp-dense-*-r0",
-        "tests/hostile/found/summary-crc",
+        "recordings/mujoco-amd-r*", "recordings/mujoco-pyramidal-r*", "recordings/sweeps-h100/warp-free-fall-n*-r0",
+        "recordings/sweeps-h100/warp-franka-n*-r0", "recordings/h100/mjx-jax-*-r[0-7]",
+        "recordings/h100/warp-dense-*-r0", "tests/hostile/found/summary-crc",
     ),
     "tosses and a reference": ("recordings/cube-toss/mujoco-*", "recordings/cube-toss/real-*"),
     "a model file, levels of determinism, overflow": ("recordings/walker-h100/*",),

@@ -524,7 +524,7 @@ def test_a_robot_keeps_to_its_limits(arms: Path) -> None:
 
 def test_a_run_without_states_says_so() -> None:
     """Give the reason where the capture phase was left out."""
-    facts = facts_of(RECORDINGS / "h200" / "warp-franka-n8-r0.mcap")
+    facts = facts_of(RECORDINGS / "sweeps-h100" / "warp-franka-n512-r0.mcap")
     assert "no states were recorded" in facts.facts.reason
 
 

@@ -163,7 +163,7 @@ def test_points_of_sweeps_are_no_groups_of_probes(tmp_path: Path) -> None:
 
 def test_overflow_says_how_many_groups_do_not_report_it() -> None:
     """Say that no group had any, and of how many groups nothing is known where there are such."""
-    warp = sorted((RECORDINGS / "h200").glob("warp-free-fall-n1-r*.mcap"))
+    warp = sorted((RECORDINGS / "sweeps-h100").glob("warp-free-fall-n512-r*.mcap"))
     for more, notes in (([], ()), ([RECORDINGS / "mujoco-amd-r0.mcap"], ("not reported by 1 group",))):
         results = evaluate_files([*warp, *more]).results
         cell = validity._overflows(results)

@@ -28,6 +28,7 @@ from gpusimbench.evaluator.check.rules.fact import (
 from gpusimbench.evaluator.check.rules.work_facts import WORK_FACTS
 from gpusimbench.evaluator.json_values import brief
 from gpusimbench.evaluator.read.known_errors import known_errors
+from gpusimbench.evaluator.runs.groups import VARIABLES_WITHOUT_EFFECT
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
 from gpusimbench.schemas.provenance import PACKAGES, REAL
@@ -114,9 +115,8 @@ def _software(file: Integrity) -> dict[str, Any]:
 
 
 def _environment(file: Integrity) -> dict[str, Any]:
-    # which of several equal GPUs is used is told by the GPU
-    ignored = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES")
-    return {name: value for name, value in provenance_of(file).environment.items() if name not in ignored}
+    variables = provenance_of(file).environment
+    return {name: value for name, value in variables.items() if name not in VARIABLES_WITHOUT_EFFECT}
 
 
 def _engine(file: Integrity) -> dict[str, Any]:
