@@ -167,15 +167,16 @@ def test_reasons(tmp_path: Path) -> None:
         assert why in spread(Recording(write_recording(tmp_path / name, **keywords))).reason
 
 
-def test_refuses_positions_in_other_units(tmp_path: Path) -> None:
-    """Refuse positions that are in no unit of the format."""
+@pytest.mark.parametrize("scene", ["inclined-collision", "free-fall"])
+def test_refuses_positions_in_other_units(scene: str, tmp_path: Path) -> None:
+    """Refuse positions that are in no unit of the format, on a board and without one."""
 
     def change(attachment: str, record: dict[str, Any]) -> None:
         for field in record.get("fields", ()):
             field["unit"] = "cm"
 
-    made = write_recording(tmp_path, np.zeros((3, 27, 3)), change=change, field=cubes_field("float64"))
-    with pytest.raises(DamagedRecording):
+    made = write_recording(tmp_path, np.zeros((3, 27, 3)), scene=scene, change=change, field=cubes_field("float64"))
+    with pytest.raises(DamagedRecording, match="is in cm"):
         spread(Recording(made))
 
 
