@@ -209,6 +209,25 @@ def test_bodies_that_fell_off_are_in_no_distance(tmp_path: Path) -> None:
     assert none.rms[-1] == pytest.approx(none.largest[-1] * np.sqrt(2 / (27 * 3)))
 
 
+def test_rounding_makes_no_negative_square(tmp_path: Path) -> None:
+    """Tell no distance between bodies that lie at one place, wherever the one that fell in environment 0 is."""
+    n_env, away = 7, np.random.default_rng(3).uniform(0.01, 0.1, size=12)
+
+    for number, x in enumerate(away):
+
+        def path(_: np.ndarray, step: int, x: float = x) -> np.ndarray:
+            positions = grid(n_env)
+            positions[1:, 4] += x * min(1.0, step / 60)
+            positions[0, 4, 2] -= 4.905 * (step * 0.02) ** 2
+            return positions
+
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        found = known(Recording(write_recording(folder, path(grid(n_env), 60), steps=60, dt=0.02, path_of=path)))
+        assert (found.fallen, found.largest[-1]) == (1, 0.0)
+        assert found.rms[-1] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_fallen_bodies_are_left_out_wherever_blocks_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Give the same distances, whatever is read at a time."""
     falls = np.random.default_rng(2).uniform(size=(70, 27)) < 0.05
