@@ -222,6 +222,28 @@ def test_a_reading_of_another_gpu_is_none(tmp_path: Path) -> None:
     assert "clocks-sampled" in broken(run(tmp_path, hardware=_hardware((0.0, 0.9, 1.8), "gpu0", sm_clock_mhz=1)))
 
 
+@pytest.mark.parametrize(("readings", "held"), [(10, True), (9, False)])
+def test_a_tenth_of_the_readings_may_be_throttled(readings: int, held: bool, tmp_path: Path) -> None:
+    """Take one throttled reading of ten, and not one of nine."""
+    reasons = [0x5] + [0x1] * (readings - 1)
+    hardware = tuple(
+        part
+        for number, reason in enumerate(reasons)
+        for part in _hardware([number / 5], "gpu0", throttle_reasons=reason)
+    )
+    assert ("no-throttling" not in broken(run(tmp_path, gpu_bytes=(1, 2), hardware=hardware))) is held
+
+
+def test_what_never_ended_shows_no_work(tmp_path: Path) -> None:
+    """Ask a run that failed for no evidence of work, and a run without a capture for no state at the sample step."""
+    whole_window = run(tmp_path)
+    nothing: dict[str, Any] = {"hashes": (), "counts": {}, "hardware": (), "elapsed_s": 0.1, "timed_steps": 200}
+    failed = run(tmp_path, status="FAILED", reason="gone", **nothing)
+    evidence = {"work-evidence", "declared-evidence", "not-frozen", "clocks-sampled", "timed-seconds", "same-window"}
+    assert broken(whole_window, failed) & evidence == set()
+    assert "sample-step" not in broken(run(tmp_path, scene="inclined-collision"))
+
+
 def test_one_window_for_all(tmp_path: Path) -> None:
     """Ask all simulators for the same window of a scene, and name the windows; scenes do not mix."""
     same = [run(tmp_path, simulator=name) for name in ("a", "b")]
