@@ -148,7 +148,7 @@ class _Runner:
                 if patches is None:
                     killed = self._in_process(left, passed, most_s, compiled=mutant["compiled"])
                 else:
-                    killed = self._in_fork(left, patches, passed, most_s, shared=path.parts[0] != "schemas")
+                    killed = self._in_fork(left, patches, passed, most_s, shared=path.parts[0] == "evaluator")
             finally:
                 write(path, original)
             if killed is None or self._is_sound(killed[0]):

@@ -45,7 +45,8 @@ class Schedule:
     runs    in order
     head    whether each is of head
     blocks  number of the block of each: the shortest stretches that hold runs of both sides
-    known   whether recordings say when they were made, and not all at once: times are in whole seconds
+    known   whether recordings say when they were made, in at least half as many seconds as there are runs, and not all
+            in one: times are in whole seconds
     """
 
     runs: tuple[Run, ...]

@@ -327,6 +327,7 @@ def test_a_law_that_is_broken_claims_no_breaking_change_and_two_environments_too
     (broken,) = laws("a", [_values([1.5, 1.501, 1.499, 1.5])])
     assert not broken.held and broken.sensitivities[0].breaks is None
     (few,) = laws("a", [_values([1.0, 1.1], tolerance=1e-3)])
+    assert breaking_move(np.array([-0.1]), 0.4, 0.25) == pytest.approx(0.35)  # nothing but the tolerance is left
     assert few.sensitivities[0].breaks is None and few.sensitivities[0].slope == 2.0
     assert change(few.sensitivities[1]) == "insensitive to mass"
     (rough,) = laws("a", [_values([1.0, 2.0, 0.0, 1.0])])

@@ -21,6 +21,8 @@ from gpusimbench.evaluator.metrics.physics.falling import bounce
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.results.canonical import Law, laws
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.runs.physics.canonical.motion import unevenness
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 from tests.conftest import call
@@ -214,6 +216,8 @@ def test_mujoco_measures_a_restitution_that_nothing_predicts(tmp_path: Path) -> 
         assert rebound["held_missing"] == "the engine has no coefficient of restitution in force"
         assert 0.5 < rebound["ci95"][0] < rebound["measured"] < rebound["ci95"][1] < 0.6
         assert 0.0 < rebound["sd"] < 0.1
+    (result,) = evaluate_files([path]).results
+    assert faults(result).laws == ""
     said = " ".join(call("gsb-eval", path).stdout.split())
     assert "6 of 6 laws in closed form held; without a verdict: restitution of the ball from 0.2 m 0.5" in said
     assert "no verdict" in call("gsb-eval", path, "--all").stdout

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.law_changes import Change
+from benchmarks.law_power import Setting, measured
 from gpusimbench import open_recording
 from gpusimbench.evaluator.metrics.physics.closed_form import DoublePendulum
 from gpusimbench.evaluator.missing import Missing
@@ -66,6 +68,18 @@ def test_runge_kutta_keeps_the_laws_of_double_pendulums(tmp_path: Path) -> None:
     share = 0.8 * np.array([0.15, 0.15, 0.002, 0.002])
     added = start - np.array([0.8, 0.0, 0.005, -0.0075])
     assert (np.abs(added) <= share + 1e-12).all() and (np.ptp(added, axis=0) > share / 2).all()
+
+
+@pytest.mark.parametrize("name", ["large", "small"])
+def test_damping_takes_the_energy_that_is_claimed(name: str, tmp_path: Path) -> None:
+    """Damp the joints of a pendulum on MuJoCo C, and see its energy change by what the law says of a small damping."""
+    setting = Setting("mujoco", "double-pendulum", 0.01, tmp_path, {"integrator": "RK4"}, n_env=4)
+    before, after = (
+        next(law for law in measured(setting, changes, 1) if law.key == f"{name}_energy")
+        for changes in ((), [Change("damping", name, 1e-5)])
+    )
+    moved = np.subtract(after.measured, before.measured).mean() / 1e-5
+    assert moved == pytest.approx(dict(before.slopes)["damping"], rel=0.05)
 
 
 def test_the_default_integrator_gives_a_large_swing_energy(tmp_path: Path) -> None:

@@ -189,6 +189,16 @@ def test_no_rule_is_without_a_test() -> None:
     assert {rule.id for rule in PROTOCOL.rules} == set(_BROKEN) | set(_DIFFER) | elsewhere
 
 
+def test_what_is_damage_and_what_is_a_warning() -> None:
+    """Call a file damaged whose content is not what was recorded; of what it says of itself, some is only wrong, and
+    what takes nothing from the data is a warning."""
+    rules = [rule for name in ("integrity-1", "recorders-1") for rule in load_rules(name).rules]
+    warnings = {"known-records", "crc-present", "confirmed", "observer", "known-errors"}
+    wrong = {"hashes-at-every-step", "clocks", "consistent", "provenance"}
+    assert {rule.id for rule in rules if rule.level is Severity.warning} == warnings
+    assert {rule.id for rule in rules if not rule.damage} == warnings | wrong
+
+
 def test_the_end_of_a_sweep_needs_no_complete_runs(tmp_path: Path) -> None:
     """Ask the point at which a sweep ended for no runs; the points below it for ten."""
     below = [write_recording(tmp_path, None, n_env=2, run=run) for run in range(10)]
@@ -394,6 +404,9 @@ def test_rules_of_ones_own(gsb_check: Command, tmp_path: Path) -> None:
         (('must = { equals = "synthetic" }', 'must = { eval = "1" }'), "'eval' is nothing that can be required"),
         (('{ equals = "synthetic" }', "{ at_least = 3 }"), "cannot be required of simulator, which is a text"),
         (('{ equals = "synthetic" }', "{ equals = [1] }"), "equals does not take"),
+        (('{ equals = "synthetic" }', '{ one_of = "synthetic" }'), "one_of does not take 'synthetic'"),
+        (('{ equals = "synthetic" }', "{ one_of = [] }"), r"one_of does not take \[\]"),
+        (('{ equals = "synthetic" }', '{ one_of = ["a", ["b"]] }'), "one_of does not take"),
         (('{ equals = "synthetic" }', '{ equals = "a", one_of = ["b"] }'), "exactly one requirement"),
         (('level = "error"', 'level = "fatal"'), "level is one of error, warning"),
         (('id = "our-engine"', 'id = ""'), "id is a text"),

@@ -100,18 +100,17 @@ def test_identical(value: float | None, n: int, without: int) -> None:
     assert (claim.holds is None) == bool(claim.why_not)
 
 
+def _result(value: float | None, n: int, level: str = "default") -> Any:
+    metrics = {name: _estimate(name, None, 0) for name in METRICS}
+    metrics |= {name: _estimate(name, value, n) for name in ("distinct_envs", "distinct_runs")}
+    group = SimpleNamespace(key=SimpleNamespace(determinism=level), complete=(None,) * n)
+    return SimpleNamespace(metrics=metrics, group=group)
+
+
 @given(st.lists(st.tuples(st.sampled_from([None, 1.0, 2.0]), st.integers(1, 3)), min_size=1, max_size=4))
 def test_the_verdicts_of_a_report(groups: list[tuple[float | None, int]]) -> None:
     """Say that a simulator repeats itself only of groups that were compared, and no where any of them differs."""
-    results: list[Any] = [
-        SimpleNamespace(
-            metrics={name: _estimate(name, value, n) for name in ("distinct_envs", "distinct_runs")} | {
-                name: _estimate(name, None, 0) for name in METRICS if name not in ("distinct_envs", "distinct_runs")
-            },
-            group=SimpleNamespace(key=SimpleNamespace(determinism="default"), complete=(None,) * n),
-        )
-        for value, n in groups
-    ]  # fmt: skip
+    results = [_result(value, n) for value, n in groups]
     compared = [value for value, n in groups if value is not None and n > 1]
     for answer in (verdicts.repeats(results), verdicts.alike(results)):
         assert answer.text == ("not compared" if not compared else "yes" if set(compared) == {1.0} else "no")
@@ -121,6 +120,15 @@ def test_the_verdicts_of_a_report(groups: list[tuple[float | None, int]]) -> Non
             without = f", {plural(left, 'group')} not compared" if left else ""
             said = f"{of} of {len(compared)} groups" if of else f"all {len(compared)} groups{without}"
             assert answer.notes == (said,)
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.sampled_from([None, 1.0, 2.0])), max_size=6))
+def test_levels_that_repeat_themselves_are_named(groups: list[tuple[str, float | None]]) -> None:
+    """Name the level of determinism at which all groups were compared and are identical, or how many there are."""
+    answer = verdicts.repeats([_result(2.0, 2), *(_result(value, 2, level) for level, value in groups)])
+    held = [level for level in "abc" if {value for name, value in groups if name == level} == {1.0}]
+    said = [f"yes at {held[0]}"] if len(held) == 1 else [f"yes at {len(held)} levels"] if held else []
+    assert (answer.text, *answer.notes) == ("no", "2 distinct of 2", *said)
 
 
 @given(STATES, STATES, st.integers(1, 2))

@@ -12,6 +12,8 @@ import pytest
 
 from gpusimbench import open_recording, wrap
 from gpusimbench.evaluator.cli.compare import main
+from gpusimbench.evaluator.compare.episodes import _compared
+from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
 from gpusimbench.evaluator.episodes.comparison import compare as compare_policies
 from gpusimbench.evaluator.episodes.comparison import difference_of
 from gpusimbench.evaluator.episodes.side import choose, read_side
@@ -219,6 +221,33 @@ def test_the_value_of_one_environment() -> None:
     for first, second in ((one, others), (others, one)):
         assert difference_of("return", "1", first, second, together=False).p_value == 2 / 8
     assert difference_of("return", "1", np.array([[3.0]]), others, together=False).p_value == 1.0
+
+
+@pytest.mark.parametrize(
+    ("envs", "head", "change"),
+    [
+        ((3, 3), 2.0, Change.IMPROVEMENT),
+        ((3, 4), 0.5, Change.REGRESSION),
+        ((2, 2), 1.04, Change.SMALL),
+        ((2, 2), 1.0, Change.SAME),
+        ((1, 1), 1.0, Change.SAME),
+    ],
+)
+def test_values_without_spread_need_no_test(envs: tuple[int, int], head: float, change: Change) -> None:
+    """Judge two values by the threshold of 5 % where all episodes of a side have one."""
+    sides = np.full((envs[0], 2), 1.0), np.full((envs[1], 2), head)
+    found = _compared("return", *sides, (1, 1), Settings(gates=frozenset()), together=False, even=True)
+    assert isinstance(found, Finding)
+    assert found.change is change
+    assert f"({envs[0] if envs[0] == envs[1] else f'{envs[0]} and {envs[1]}'} environments; not paired)" in found.method
+
+
+@pytest.mark.parametrize("envs", [(1, 3), (3, 1), (1, 1)])
+def test_one_environment_without_spread_is_no_verdict(envs: tuple[int, int]) -> None:
+    """Ask a test where a side is one environment, whose episodes may be alike by chance."""
+    sides = np.full((envs[0], 2), 1.0), np.full((envs[1], 2), 2.0)
+    found = _compared("return", *sides, (1, 1), Settings(gates=frozenset()), together=False, even=True)
+    assert not isinstance(found, Finding)
 
 
 def test_returns_without_bound(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

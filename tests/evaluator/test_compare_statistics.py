@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations, permutations
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from scipy import stats
 
 from gpusimbench.evaluator.compare.compare import _answered, _Asked
 from gpusimbench.evaluator.compare.finding import Change, Counted, Finding, Settings
-from gpusimbench.evaluator.compare.numbers import Schedule, matters, neighbours
+from gpusimbench.evaluator.compare.numbers import Schedule, matters, neighbours, schedule
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.statistics import exchange
@@ -324,6 +326,23 @@ def test_blocks_that_are_short_enough(n: tuple[int, int], blocks: int, interleav
     numbers = tuple(sorted(i % blocks for i in range(len(head))))
     assert Schedule((), head, numbers, known=True).interleaved is interleaved
     assert not Schedule((), head, numbers, known=False).interleaved
+
+
+@pytest.mark.parametrize(
+    ("seconds", "known"),
+    [((0, 0), False), ((0, 1), True), ((0, 0, 1, 1), True), ((0, 0, 0, 1, 1), False), ((0, 1, 2, 2, 2, 2, 2), False)],
+)
+def test_times_that_tell_the_order(seconds: tuple[int, ...], known: bool) -> None:
+    """Take the order for known where there is a second for two runs, and more than one; never where a time is none."""
+
+    def made(times: list[str]) -> Schedule:
+        runs: Any = [SimpleNamespace(provenance=SimpleNamespace(created_utc=t, run_id=str(i)))
+                     for i, t in enumerate(times)]  # fmt: skip
+        return schedule(runs[::2], runs[1::2])
+
+    times = [f"2026-01-01T00:00:0{second}Z" for second in seconds]
+    assert made(times).known is known
+    assert not made([*times[:-1], "yesterday"]).known
 
 
 @given(st.integers(1, 40), st.integers(1, 40), st.data())

@@ -12,6 +12,7 @@ from gpusimbench.evaluator.metrics.guidelines import Guideline
 from gpusimbench.evaluator.metrics.radar import Axis
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.ranking import Comparison
 from tests.synthetic import grid, write_recording, write_sweep
 
@@ -57,6 +58,40 @@ def test_a_throughput_without_evidence_of_work_is_compared_with_none(tmp_path: P
     assert isinstance(speeds["unproven"], Missing) and "not met" in speeds["unproven"].reason
     (unranked,) = need(found, REPRODUCIBLE).unranked
     assert unranked.startswith("unproven ")
+
+
+def test_figures_on_a_gpu_are_those_of_their_axes(tmp_path: Path) -> None:
+    """Compare throughput, GPU memory and distances of simulators on a GPU, each by the metric that it is."""
+    for simulator, seconds, used in (("a", 2.0, 3 * 10**9), ("b", 4.0, 5 * 10**9)):
+        for run in range(2):
+            moved = grid(2)
+            moved[1] += [0.02, 0.0, 0.0]
+            write_recording(
+                tmp_path, moved, simulator=simulator, run=run, elapsed_s=seconds, proven=True,
+                gpu_bytes=(10**9, 10**9 + used), host_bytes=(10**9, 2 * 10**9),
+            )  # fmt: skip
+    a, b = (c.figures for c in compared(tmp_path).contenders)
+    assert (a.fps, b.fps) == (pytest.approx(2 * 1000 / 2.0), pytest.approx(2 * 1000 / 4.0))
+    assert (a.memory_gb, b.memory_gb) == (pytest.approx(3.0), pytest.approx(5.0))
+    assert a.run_to_run == b.run_to_run == 0.0
+    assert a.parallel == b.parallel == pytest.approx(2.0)  # cm
+
+
+@pytest.mark.parametrize("scenes", [("free-fall", "inclined-collision"), ("inclined-collision", "free-fall")])
+def test_what_is_wrong_is_held_against_other_scenes_at_any_step(scenes: tuple[str, str], tmp_path: Path) -> None:
+    """Hold a fault against the engine in other scenes whatever their step, and in its own at the same step alone."""
+    wrong, other = scenes
+    failed = {"status": "INVALID", "cause": "NOT_FINITE", "reason": "a state is not finite"}
+    write_recording(tmp_path, None, scene=wrong, dt=0.02, **failed)
+    for scene, dt in ((other, 0.02), (other, 0.01), (wrong, 0.02), (wrong, 0.01)):
+        write_recording(tmp_path, None, scene=scene, dt=dt, n_env=64)
+    results = evaluate_files(sorted(tmp_path.glob("*.mcap"))).results
+    against = {
+        (r.group.key.scene, r.group.key.dt): bool(faults_anywhere(r, results))
+        for r in results
+        if r.group.key.n_env == 64
+    }
+    assert against == {(other, 0.02): True, (other, 0.01): True, (wrong, 0.02): True, (wrong, 0.01): False}
 
 
 def test_what_is_wrong_in_another_scene_bars_a_pick(tmp_path: Path) -> None:

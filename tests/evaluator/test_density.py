@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from gpusimbench.evaluator.metrics.density import HexGrid, log_density, marginal
 from gpusimbench.evaluator.metrics.lost_cubes import Board
 from gpusimbench.evaluator.results.density_maps import shared_map
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from tests.synthetic import grid, write_recording
 
 GRID = HexGrid((-0.2, 0.6, -0.3, 0.3), 0.05)
 POINTS = arrays(
@@ -132,6 +135,19 @@ def test_marginal_refuses(edges: list[float]) -> None:
 
 
 BOARD = Board((0.6, 0.6, 0.02), (0.3, 0.0, 0.0))
+
+
+def test_a_group_has_its_positions_on_the_map(tmp_path: Path) -> None:
+    """Count all positions of all runs, in the environments' own frames; give none to runs without states."""
+    finals = [grid(2), grid(2) + [0.01, 0.02, 0.0]]
+    for run, final in enumerate(finals):
+        write_recording(tmp_path, final, run=run)
+    write_recording(tmp_path, None, n_env=2, simulator="timed")
+    there, none = evaluate_files(sorted(tmp_path.glob("*.mcap"))).results
+    assert there.cloud is not None and none.cloud is None
+    np.testing.assert_array_equal(there.cloud.positions, np.stack(finals)[..., :2])
+    assert there.cloud.density.counts.sum() == 2 * 2 * 27
+    assert [counts.sum() for counts in there.cloud.marginals] == [2 * 2 * 27] * 2
 
 
 def cloud(n_off: int, *, away: float = 100.0, centre: tuple[float, float] = (0.3, 0.0)) -> Any:

@@ -54,6 +54,14 @@ def _profile(path: Path) -> str:
     return profile
 
 
+def test_a_run_without_captured_actions_can_be_read_by_all_versions(tmp_path: Path) -> None:
+    """Ask for a newer reader where actions are stored as their generator, and not where none are stored."""
+    arm = ("--sim", "mujoco", "--scene", "franka", "--n-env", "2", "--runs", "1", "--no-view", "--out", tmp_path)
+    timed = call("gsb-record", *arm, "--phases", "timed", "--warmup", "2", "--timed-steps", "3", code=0)
+    kept = call("gsb-record", *arm, "--phases", "capture", "--steps", "5", "--keep", "failing", code=0)
+    assert [_profile(Path(done.stdout.strip())) for done in (timed, kept)] == ["gsb.v1", "gsb.v1"]
+
+
 def test_arrays_have_the_same_identity(arms: Path, tmp_path: Path) -> None:
     """Write the arrays out: same content hash and actions, in a file of the format that all versions read."""
     assert _profile(arms) == "gsb.v1.1"

@@ -13,6 +13,7 @@ import pytest
 from gpusimbench.evaluator.check.inspection import inspect
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.cli.info import main
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.info import info_document
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
@@ -66,9 +67,18 @@ def test_numbers_are_the_recordings_own(small: Path) -> None:
     assert found.captured is not None
     assert found.captured.steps == 100
     assert list(found.phases) == ["baseline", "init", "warmup", "timed", "capture"]
+    events = Recording(small).events
+    begin, end = (next(e.monotonic_ns for e in events if (e.kind, e.phase) == (kind, "timed")) for kind in _BOTH)
+    assert found.phases["timed"] == pytest.approx((end - begin) / 1e9)
+    assert found.phases["timed"] >= found.timed.seconds
+    assert found.peak_rss_bytes == examine(small).end.peak_rss_bytes > 10**7
+    assert (found.timed.first_step, found.captured.first_step) == (10, 0)
     assert found.container is not None
     assert found.container.bytes == small.stat().st_size
     assert found.content_hash == examine(small).end.content_hash
+
+
+_BOTH = ("PHASE_BEGIN", "PHASE_END")
 
 
 def test_json(gsb_info: Command, small_set: list[Path], tmp_path: Path) -> None:

@@ -154,6 +154,22 @@ def test_free_fall_tells_g_and_the_method(tmp_path: Path, half_steps: int, lead:
     assert not broken(facts) & {Check.FALL, Check.FALL_LEAD, Check.FALL_SHAPE, Check.IMPACT_TIME, Check.IMPACT_SPEED}
 
 
+def test_the_ground_is_where_the_scene_puts_it(tmp_path: Path) -> None:
+    """Find the same fall onto ground at a height of 2 m, from as far above it."""
+
+    def raised(scene: Scene) -> Scene:
+        up = [replace(b, position=(*b.position[:2], b.position[2] + 2.0)) for b in scene.bodies]
+        return replace(scene, bodies=tuple(up))
+
+    motion = falling(make_scene("free-fall"), dt=0.01, rows=60)
+    above = {**motion, "position": motion["position"] + [0.0, 0.0, 2.0]}
+    low = facts_of(write_motion(tmp_path, "free-fall", motion))
+    high = facts_of(write_motion(tmp_path, "free-fall", above, change_scene=raised))
+    for check in (Check.FALL, Check.IMPACT_TIME, Check.IMPACT_SPEED):
+        assert measured(high, check).mean == pytest.approx(measured(low, check).mean, rel=1e-9), check
+        assert measured(high, check).high == pytest.approx(measured(low, check).high, rel=1e-9), check
+
+
 def test_a_stack_that_falls_a_thousandth_slower_breaks(tmp_path: Path) -> None:
     """Break on g of 9.80, which no rounding of float32 explains."""
     motion = falling(make_scene("free-fall"), dt=0.01, rows=60)

@@ -173,6 +173,20 @@ def test_other_settings_are_no_family(tmp_path: Path) -> None:
     assert evaluate_files(sorted(tmp_path.glob("*.mcap"))).price_list == ()
 
 
+def test_a_default_that_was_never_built_comes_last(tmp_path: Path) -> None:
+    """Price a level by the default that ran, beside another that never began."""
+    for run in range(3):
+        write_recording(tmp_path, grid(2), run=run, elapsed_s=1.0, switches={"exact": False})
+        write_recording(tmp_path, grid(2), run=run, elapsed_s=2.0, switches=SWITCH, determinism="full")
+    write_recording(
+        tmp_path, None, n_env=2, built=False, status="FAILED", cause="REFUSED", reason="no memory",
+        environment={"HEAP": "small"},
+    )  # fmt: skip
+    families = evaluate_files(sorted(tmp_path.glob("*.mcap"))).price_list
+    (found,) = (family for family in families if family.prices)
+    assert price(found).speed.ratio == pytest.approx(0.5)
+
+
 def test_no_default_no_price(tmp_path: Path) -> None:
     """Say that nothing stands at the default level."""
     for level in ("a", "b"):

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from gpusimbench.evaluator.metrics.levels import EqualityLevel
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
-from gpusimbench.evaluator.probe.pairs import Pairs, compare_pairs
+from gpusimbench.evaluator.probe.pairs import Pairs, _measured, compare_pairs
 from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of, interleaved
 from gpusimbench.evaluator.probe.questions import QUESTIONS, answers
 from gpusimbench.evaluator.probe.questions import probed as judged
@@ -35,6 +36,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.commands.folder_lock import folder_lock as held_by
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.fields import body_fields, joint_field
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from gpusimbench.schemas.treatment import Initial, Intervention
@@ -250,6 +252,27 @@ def test_mirror_images_that_are_not_asked(tmp_path: Path) -> None:
         found = compare_pairs(Pairs(one, other, ((1, 1),), mirror="y"))
         assert isinstance(found, Missing) == apart
         assert not apart or "beside the mirror's plane" in str(found)
+
+
+def test_distances_are_of_one_unit() -> None:
+    """Measure positions where there are any, and else the hinges; sliding joints where there are none of both."""
+    bodies = body_fields({"cubes": ("a", "b")}, "float64")
+    mixed = joint_field("robot", "qpos", "float64", ("hinge", "slide"), slides={"slide"})
+    slides = joint_field("robot", "qpos", "float64", ("one", "other"), slides={"one", "other"})
+    speeds = joint_field("robot", "qvel", "float64", ("hinge",))
+    assert _measured((mixed, *bodies)) == ("m", {"cubes/position": [0, 1]})
+    assert _measured((speeds, mixed)) == ("rad", {"robot/qpos": [0]})
+    assert _measured((slides,)) == ("m", {"robot/qpos": [0, 1]})
+    assert _measured((speeds,)) == ("", {})
+
+
+def test_joints_have_no_mirror_image() -> None:
+    """Say which field cannot be mirrored, before any state is read."""
+    joints = joint_field("robot", "qpos", "float64", ("hinge",))
+    run: Any = SimpleNamespace(fields=(joints,), configuration=SimpleNamespace(dt=0.01), simulation=None)
+    found = compare_pairs(Pairs(run, run, ((0, 0),), mirror="y"))
+    assert isinstance(found, Missing)
+    assert found.reason == "the mirror image of robot/qpos is not known"
 
 
 def test_far_apart(tmp_path: Path) -> None:

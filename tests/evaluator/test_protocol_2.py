@@ -14,7 +14,7 @@ from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.protocol import _shell
 from gpusimbench.evaluator.check.rules.facts import applies, fact_of
 from gpusimbench.evaluator.check.rules.findings import check
-from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Rule, Scope, load_rules, parse_rules
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Rule, RuleSet, Scope, Severity, load_rules, parse_rules
 from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.scenes.registry import make_scene
@@ -177,10 +177,71 @@ def test_every_new_rule_is_tested_and_says_what_is_wrong() -> None:
             assert {make_scene(name).sha256() for name in rule.scenes} == set(rule.argument)
 
 
+_WARNINGS = {"complete", "recorder-known", "recorder-unmodified", "distinct-numbers", "outcome-of-tosses"}
+
+
+@pytest.mark.parametrize("rules", [OLDER, RULES], ids=lambda rules: rules.name)
+def test_a_broken_rule_fails_a_set(rules: RuleSet) -> None:
+    """Warn of runs that are not complete, of the recorder's code, of run numbers and of tosses without an outcome;
+    every other broken rule fails, and none of them is damage."""
+    named = {rule.id for rule in rules.rules}
+    assert {rule.id for rule in rules.rules if rule.level is Severity.warning} == _WARNINGS & named
+    assert not any(rule.damage for rule in rules.rules)
+
+
+@pytest.mark.parametrize("scene", ["inclined-collision", "free-fall", "franka"])
+def test_every_scene_but_the_toss_is_timed_over_one_window(scene: str, tmp_path: Path) -> None:
+    """Ask each of the scenes for its first state, its own time step, and steps 100 to 1,100 at most."""
+    same: dict[str, Any] = {"scene": scene, "streams": _actions("a", "b")} if scene == "franka" else {"scene": scene}
+    rules = {"window-begin", "window-end", "timed-steps", "own-start", "dt", "dt-of-scene"}
+    for warmup, timed_steps, expected in (
+        (99, 1000, {"window-begin"}),
+        (101, 1000, {"window-begin"}),
+        (100, 1001, {"window-end"}),
+        (100, 99, {"timed-steps"}),
+        (100, 100, set()),
+        (100, 1000, set()),
+    ):
+        assert broken(run(tmp_path, **same, warmup=warmup, timed_steps=timed_steps)) & rules == expected
+    assert broken(run(tmp_path, **same, dt=0.005)) & rules == {"dt", "dt-of-scene"}
+    assert broken(run(tmp_path, **same, asked={"initial": "states:" + "0" * 64})) & rules == {"own-start"}
+
+
+@pytest.mark.parametrize("scene", ["inclined-collision", "free-fall", "cube-toss"])
+def test_every_scene_but_the_robot_touches_at_the_end(scene: str, tmp_path: Path) -> None:
+    """Ask each of the scenes for a contact of an environment at the last timed step."""
+    same = _TOSS if scene == "cube-toss" else {"scene": scene}
+    for last, rule in (([1, 0], {"contacts-at-the-end"}), ([1, 1], set())):
+        counts = {"contacts": np.array([[27, 27], last])}
+        assert broken(run(tmp_path, **same, counts=counts)) & {"contacts-at-the-end"} == rule
+
+
 def test_a_reading_of_another_gpu_is_none(tmp_path: Path) -> None:
     """Ask for readings of what the simulator steps on: of a run on a GPU, those of the host are not enough."""
     assert "clocks-sampled" in broken(run(tmp_path, gpu_bytes=(1, 2)))
     assert "clocks-sampled" in broken(run(tmp_path, hardware=_hardware((0.0, 0.9, 1.8), "gpu0", sm_clock_mhz=1)))
+
+
+@pytest.mark.parametrize(("readings", "held"), [(10, True), (9, False)])
+def test_a_tenth_of_the_readings_may_be_throttled(readings: int, held: bool, tmp_path: Path) -> None:
+    """Take one throttled reading of ten, and not one of nine."""
+    reasons = [0x5] + [0x1] * (readings - 1)
+    hardware = tuple(
+        part
+        for number, reason in enumerate(reasons)
+        for part in _hardware([number / 5], "gpu0", throttle_reasons=reason)
+    )
+    assert ("no-throttling" not in broken(run(tmp_path, gpu_bytes=(1, 2), hardware=hardware))) is held
+
+
+def test_what_never_ended_shows_no_work(tmp_path: Path) -> None:
+    """Ask a run that failed for no evidence of work, and a run without a capture for no state at the sample step."""
+    whole_window = run(tmp_path)
+    nothing: dict[str, Any] = {"hashes": (), "counts": {}, "hardware": (), "elapsed_s": 0.1, "timed_steps": 200}
+    failed = run(tmp_path, status="FAILED", reason="gone", **nothing)
+    evidence = {"work-evidence", "declared-evidence", "not-frozen", "clocks-sampled", "timed-seconds", "same-window"}
+    assert broken(whole_window, failed) & evidence == set()
+    assert "sample-step" not in broken(run(tmp_path, scene="inclined-collision"))
 
 
 def test_one_window_for_all(tmp_path: Path) -> None:

@@ -167,15 +167,16 @@ def test_reasons(tmp_path: Path) -> None:
         assert why in spread(Recording(write_recording(tmp_path / name, **keywords))).reason
 
 
-def test_refuses_positions_in_other_units(tmp_path: Path) -> None:
-    """Refuse positions that are in no unit of the format."""
+@pytest.mark.parametrize("scene", ["inclined-collision", "free-fall"])
+def test_refuses_positions_in_other_units(scene: str, tmp_path: Path) -> None:
+    """Refuse positions that are in no unit of the format, on a board and without one."""
 
     def change(attachment: str, record: dict[str, Any]) -> None:
         for field in record.get("fields", ()):
             field["unit"] = "cm"
 
-    made = write_recording(tmp_path, np.zeros((3, 27, 3)), change=change, field=cubes_field("float64"))
-    with pytest.raises(DamagedRecording):
+    made = write_recording(tmp_path, np.zeros((3, 27, 3)), scene=scene, change=change, field=cubes_field("float64"))
+    with pytest.raises(DamagedRecording, match="is in cm"):
         spread(Recording(made))
 
 
@@ -206,6 +207,25 @@ def test_bodies_that_fell_off_are_in_no_distance(tmp_path: Path) -> None:
     pairs = 25 * 3 + 2
     assert some.rms[-1] == pytest.approx(some.largest[-1] * np.sqrt(2 / pairs))
     assert none.rms[-1] == pytest.approx(none.largest[-1] * np.sqrt(2 / (27 * 3)))
+
+
+def test_rounding_makes_no_negative_square(tmp_path: Path) -> None:
+    """Tell no distance between bodies that lie at one place, wherever the one that fell in environment 0 is."""
+    n_env, away = 7, np.random.default_rng(3).uniform(0.01, 0.1, size=12)
+
+    for number, x in enumerate(away):
+
+        def path(_: np.ndarray, step: int, x: float = x) -> np.ndarray:
+            positions = grid(n_env)
+            positions[1:, 4] += x * min(1.0, step / 60)
+            positions[0, 4, 2] -= 4.905 * (step * 0.02) ** 2
+            return positions
+
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        found = known(Recording(write_recording(folder, path(grid(n_env), 60), steps=60, dt=0.02, path_of=path)))
+        assert (found.fallen, found.largest[-1]) == (1, 0.0)
+        assert found.rms[-1] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_fallen_bodies_are_left_out_wherever_blocks_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -256,6 +256,15 @@ def test_rules_not_met_are_those_of_gsb_check(which: str, tmp_path: Path) -> Non
     assert sum(r.timed.unmet.count for r in found.results) >= found.unmet.count
 
 
+def test_rules_of_points_are_those_of_their_groups(tmp_path: Path) -> None:
+    """Hold too few runs of one simulator against no other: neither against one before nor one behind it by name."""
+    for name, runs in (("a", 10), ("m", 1), ("z", 10)):
+        for run in range(runs):
+            write_recording(tmp_path, grid(2), simulator=name, run=run)
+    found = {r.group.key.simulator: r.timed.unmet.findings for r in evaluated(tmp_path).results}
+    assert {name: unmet.get("runs", 0) for name, unmet in found.items()} == {"a": 0, "m": 1, "z": 0}
+
+
 def test_the_command_says_how_often(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Name the number of findings of the whole set below the tables."""
     paths = recorded(tmp_path)

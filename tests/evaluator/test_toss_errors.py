@@ -227,6 +227,17 @@ def test_a_toss_that_blew_up_has_no_errors(
     assert errors_of(Recording(runs["elliptic"]), measured) == Missing("its states are not all finite")
 
 
+@pytest.mark.parametrize(("dt", "whole"), [(1 / 148, True), (1 / 296, True), (1 / 100, False), (1 / 333, False)])
+def test_a_step_that_misses_the_measured_rows_has_no_errors(
+    reference: Path, dt: float, whole: bool, tmp_path: Path
+) -> None:
+    """Compare states at the times of measured rows alone, 1/148 s apart, and at no others near them."""
+    measured = measured_tosses(Recording(reference))
+    assert measured is not None
+    simulated = errors_of(Recording(_run("--sim", "mujoco", "--dt", str(dt), "--steps", "20")), measured)
+    assert ("no whole part of" in str(simulated)) is not whole
+
+
 def test_a_wrong_cone_is_seen(reference: Path, runs: dict[str, Path]) -> None:
     """Rank the cone of the truth before another, certainly, at either step."""
     found = evaluate_files([reference, *runs.values()])

@@ -47,7 +47,10 @@ def test_a_short_run_is_left_out_by_name(tmp_path: Path) -> None:
     assert metrics["distinct_runs"].value == 2
     assert metrics["distinct_runs"].n == 3
     note = "run 2 (cut.mcap) left out of W1, equality, published type and bodies off the board"
-    assert any(one.startswith(note) for one in to_json(found)["groups"][0]["notes"])
+    notes = to_json(found)["groups"][0]["notes"]
+    assert any(one.startswith(note) for one in notes)
+    bits = "run 2 (cut.mcap) captured up to step 3 and others up to step 5: bits of two runs are compared at the steps "
+    assert f"{bits}that both captured" in notes
     assert note in text_of(found)
     assert "step 5 (5 s) was not recorded" in text_of(found)
     assert note in render_html(found, published=False, command="")

@@ -21,6 +21,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.validation import demands, verify
+from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
 from tests.conftest import Command, call
@@ -67,6 +68,18 @@ def test_every_stream_is_verified(small_set: list[Path]) -> None:
         demand()
     streams = {name for name, value in vars(Recording).items() if isinstance(value, cached_property)}
     assert streams - vars(recording).keys() == {"varied"}  # gsb-check holds it against the configuration
+
+
+def test_positions_without_states_have_the_unit_of_the_format(tmp_path: Path) -> None:
+    """Call a field of positions in centimetres damage, even where no state is recorded that would be read."""
+
+    def in_cm(_: str, record: dict[str, Any]) -> None:
+        for field in record.get("fields", ()):
+            field["unit"] = "cm"
+
+    with pytest.raises(DamagedRecording, match="cubes/position is in cm"):
+        verify(Recording(write_recording(tmp_path, None, change=in_cm)))
+    verify(Recording(write_recording(tmp_path, None)))
 
 
 def test_counts_of_a_real_set(small_set: list[Path]) -> None:

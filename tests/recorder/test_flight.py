@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,13 @@ from gpusimbench import open_recording, verify
 from gpusimbench.evaluator.read.failing import ONLY_FAILING, Failing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.plan import parse_keep
+from gpusimbench.recorder.run.flight_phase import watch_of
 from gpusimbench.recorder.simulators.flight import AFTER, BEFORE
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
 from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import OverflowBit
 from gpusimbench.schemas.treatment import MOST_METRES, Keep
 from tests.conftest import call, run_python
 from tests.forging import forge
@@ -88,6 +91,21 @@ def test_not_finite(poisoned: tuple[Path, Path]) -> None:
     )
     with pytest.raises(KeyError, match="it has those of: 1"):
         kept.last_states(0)
+
+
+def test_clocks_begin_with_the_first_step(poisoned: tuple[Path, Path]) -> None:
+    """Clock blocks of steps from the first one on, and what is written behind the last one."""
+    timing = open_recording(poisoned[0]).timing
+    assert (timing["capture"].first_step, timing["drain"].first_step) == (0, 200)
+
+
+def test_what_is_watched() -> None:
+    """Watch for overflow bits that drop contacts, for the bounds that were asked for, from environments' origins."""
+    bits = (OverflowBit(0, "NEFC", fatal=True), OverflowBit(3, "NCON", fatal=True), OverflowBit(9, "SLOW", fatal=False))
+    described: Any = SimpleNamespace(fields=(), env_origins=((0.0, 1.0, 2.0),), overflow_bits=bits)
+    watch = watch_of(RunConfiguration("mine", "cart", 1, 0.01, 0, keep=f"failing,within:{_WITHIN}"), described)
+    assert (watch.fatal, watch.within) == (0b1001, _WITHIN)
+    assert np.array_equal(watch.origins, [[0.0, 1.0, 2.0]])
 
 
 def test_states_are_those_of_a_full_capture(poisoned: tuple[Path, Path], spread: tuple[Path, Path]) -> None:
@@ -213,6 +231,7 @@ _EXPIRES = '''
 """Let the time of a run end behind its 100th step."""
 import signal, sys
 from pathlib import Path
+from types import SimpleNamespace
 from gpusimbench.recorder.run.run import Run
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.provenance import Provenance

@@ -87,6 +87,9 @@ def test_phases_in_order(small: Path) -> None:
     times = [e.monotonic_ns for e in recording.events]
     assert times == sorted(times)
     assert len(recording.timing["warmup"].start_ns) == 10
+    begins = {"warmup": (0, 1), "timed": (10, 1), "drain": (100, 1)}
+    assert {p: (t.first_step, t.steps_per_interval) for p, t in recording.timing.items() if p in begins} == begins
+    assert recording.timing["capture"].first_step == 0
     timed = recording.timing["timed"]
     assert (timed.first_step, len(timed.start_ns)) == (10, 20)
     assert (timed.end_ns >= timed.start_ns).all()

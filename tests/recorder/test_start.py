@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,14 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.recorder.environments.choice import interpreter_for
 from gpusimbench.recorder.plan import check
-from gpusimbench.recorder.run.start import begin
+from gpusimbench.recorder.run.start import begin, states_of
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.sets.replay import begun, read_source
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from gpusimbench.schemas.fields import body_fields
 from gpusimbench.schemas.treatment import GIVEN
 from tests.conftest import call
 
@@ -47,6 +49,22 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def rest(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What of it comes after the first snapshot."""
     return _record("--replay", whole, "--from", "30", "--out", tmp_path_factory.mktemp("rest"))
+
+
+def test_given_positions_are_from_the_origin_of_each_environment() -> None:
+    """Add an environment's origin to positions in the frame of the world alone; leave alone what was not given."""
+    fields = body_fields({"cubes": ("one", "other")}, "float64")
+    present = tuple(np.full((2, 2, field.width), -1.0) for field in fields)
+    simulator: Any = SimpleNamespace(n_env=2, state=lambda: present)
+    given = {field.name: np.full((2, 2, field.width), 3.0) for field in fields[:-1]}
+    for frame in ("world", "env"):
+        layout = tuple(replace(field, frame=frame) if field.field == "position" else field for field in fields)
+        described: Any = SimpleNamespace(fields=layout, env_origins=((0.0, 0.0, 0.0), (5.0, 6.0, 7.0)))
+        found = dict(zip((field.field for field in fields), states_of(given, simulator, described), strict=True))
+        origin = np.array(described.env_origins)[:, np.newaxis] if frame == "world" else 0.0
+        np.testing.assert_array_equal(found["position"], np.full((2, 2, 3), 3.0) + origin)
+        for name, expected in (("orientation", 3.0), ("linear_velocity", 3.0), ("angular_velocity", -1.0)):
+            assert (found[name] == expected).all()
 
 
 @pytest.mark.usefixtures("unoptimised")
