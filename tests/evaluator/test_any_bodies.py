@@ -360,7 +360,7 @@ def test_joints_come_apart(tmp_path: Path) -> None:
         assert np.allclose(np.array(found.largest, dtype=np.float64), np.abs(apart[:, :, 0]).max(axis=(1, 2)), atol=0)
         call("gsb-eval", path, "--html", tmp_path / f"of-{layout.scene}", "--no-cache", code=0)
         told = (tmp_path / f"of-{layout.scene}" / "index.html").read_text(encoding="utf-8")
-        assert f"envs 1 m{unit} apart at [s]" in told
+        assert f"envs 1 m{unit} apart by [s]" in told
         assert "the largest distance of a joint from where it is in environment 0" in told
     body = spread(open_recording(write(tmp_path, humanoid(3), simulator="humanoid")))
     assert not isinstance(body, Missing)
