@@ -95,6 +95,21 @@ def test_a_folder_of_work(tmp_path: Path) -> None:
     assert len(said.splitlines()) <= 12
 
 
+def test_folders_that_commands_evaluate_themselves(tmp_path: Path) -> None:
+    """Go on from the user's sets, and not from newer recordings of gsb-import and gsb-audit, if there are others."""
+    for number, name in enumerate(("runs", "imports", "audit")):
+        (tmp_path / name).mkdir()
+        copy = tmp_path / name / "mujoco-free-fall-n2-r0-20260101T000000Z.mcap"
+        copy.write_bytes(b"")
+        os.utime(copy, (number, number))
+    said = "\n".join(next_steps(tmp_path))
+    assert f"gsb eval {tmp_path / 'runs'} " in said
+    assert "gsb compare" not in said
+    assert f"1 recording in {tmp_path / 'audit'}/" in said
+    (tmp_path / "runs" / "mujoco-free-fall-n2-r0-20260101T000000Z.mcap").unlink()
+    assert f"gsb eval {tmp_path / 'audit'} " in "\n".join(next_steps(tmp_path))
+
+
 def test_names_that_an_encoding_lacks(tmp_path: Path) -> None:
     """Say what is in a folder whose name the terminal cannot show."""
     (tmp_path / "é×2").mkdir()

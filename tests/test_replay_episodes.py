@@ -214,7 +214,9 @@ def test_what_cannot_be_replayed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
     assert "the environment takes action of shape (3,), and 6 numbers" in complaint(path, "--env", "Hopper-v5", code=2)
     assert "Hopper-v5 cannot be made" in complaint(recording_of("Hopper-v5"), "--set", "legs=2", code=2)
-    assert "Nothing-v0 cannot be made" in complaint(path, "--env", "Nothing-v0", code=2)
+    unknown = complaint(path, "--env", "Nothing-v0", code=2)
+    assert "Nothing-v0 cannot be made" in unknown
+    assert unknown.endswith("; for a task that your program registers, give --make MODULE:FUNCTION")
     (tmp_path / "fails.py").write_text(
         "import gymnasium\n\n\nclass Fails(gymnasium.vector.VectorWrapper):\n    def step(self, actions):\n"
         "        raise RuntimeError('no power')\n\n\ndef make(n_env):\n"

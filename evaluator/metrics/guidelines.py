@@ -17,14 +17,25 @@ LARGE_FACTOR = 4
 _NAMED = 4  # simulators that lack a figure
 
 _FIGURE_TEXT: dict[str, str] = {
-    "fps": "{:.4g} FPS",
+    "fps": "{:.4g} env-steps/s",
     "n_max": "N_env^max {}",
     "memory_gb": "{:.4g} GB",
-    "w1_real": "EMD to real {:.2f} cm",
-    "parallel": "parallel {:.2f} cm",
-    "run_to_run": "run-to-run {:.2f} cm",
-    "fps_articulated": "{:.4g} FPS",
+    "w1_real": "W1 to real trials {:.2f} cm",
+    "parallel": "W1 between envs {:.2f} cm",
+    "run_to_run": "W1 between runs {:.2f} cm",
+    "fps_articulated": "{:.4g} env-steps/s",
     "n_max_articulated": "N_env^max {}",
+}
+
+_FIGURE_NAME: dict[str, str] = {
+    "fps": "throughput",
+    "n_max": "N_env^max (a sweep)",
+    "memory_gb": "GPU memory increment",
+    "w1_real": "W1 to real trials",
+    "parallel": "W1 between envs",
+    "run_to_run": "W1 between runs",
+    "fps_articulated": "throughput of a robot",
+    "n_max_articulated": "N_env^max of a robot (a sweep)",
 }
 
 
@@ -94,7 +105,9 @@ def _apply(rule: _Rule, results: Results) -> Guideline:
     unmeasured = tuple(r.name for r in results if r not in measured)
     if len(measured) < 2:
         have = f"only {measured[0].name} has" if measured else "no simulator has"
-        return _no_pick(rule, f"{have} all the figures that the rule needs", unmeasured)
+        lacking = [f for f in rule.figures if any(getattr(r, f) is None for r in results)]
+        missing = f"; missing: {', '.join(_FIGURE_NAME[f] for f in lacking)}" if lacking else ""
+        return _no_pick(rule, f"{have} all the figures that the rule needs{missing}", unmeasured)
     barred = tuple(f"{_figures(rule, r)}: {_bar(rule, r)}" for r in measured if _bar(rule, r))
     sound = [r for r in measured if not _bar(rule, r)]
     if not sound:
@@ -151,7 +164,7 @@ def _shortened(names: Sequence[str]) -> str:
 
 
 def _figures(rule: _Rule, result: SimulatorResult, results: Results | None = None) -> str:
-    """A simulator and its figures, e.g. "MJX (5340 FPS, N_env^max 512)"."""
+    """A simulator and its figures, e.g. "MJX (5340 env-steps/s, N_env^max 512)"."""
     named = [*rule.figures, *([rule.ranks] if rule.ranks else [])]
     texts = [_FIGURE_TEXT[f].format(value) for f in named if (value := getattr(result, f)) is not None]
     if rule.score is _radar_mean and results is not None:
@@ -189,7 +202,9 @@ def _large(figure: str) -> Callable[[Results], list[SimulatorResult]]:
     return narrow
 
 
-_LARGE_WORDS = f"N_env^max within a factor {LARGE_FACTOR} of the largest ({{scene}}), then the highest FPS at N_env^max"
+_LARGE_WORDS = (
+    f"N_env^max within a factor {LARGE_FACTOR} of the largest ({{scene}}), then the highest throughput at N_env^max"
+)
 
 _RULES = (
     _Rule(
@@ -201,7 +216,7 @@ _RULES = (
     ),
     _Rule(
         "reproducible and fair comparison, repeated runs",
-        "run-to-run 0.00 cm and parallel 0.00 cm, then the highest FPS",
+        "W1 between runs 0.00 cm and W1 between envs 0.00 cm, then the highest throughput",
         ("run_to_run", "parallel"),
         _all_zero("run_to_run", "parallel"),
         _highest("fps"),
@@ -209,14 +224,14 @@ _RULES = (
     ),
     _Rule(
         "sim-to-real, contact-rich, tuning over repeated runs",
-        "run-to-run 0.00 cm, then the smallest EMD to real",
+        "W1 between runs 0.00 cm, then the smallest W1 to real trials",
         ("run_to_run", "w1_real"),
         _all_zero("run_to_run"),
         _smallest("w1_real"),
     ),
     _Rule(
         "sim-to-real, contact-rich, single run",
-        "smallest EMD to real",
+        "smallest W1 to real trials",
         ("w1_real",),
         _everyone,
         _smallest("w1_real"),

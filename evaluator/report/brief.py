@@ -17,7 +17,15 @@ from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sen
 from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.sections.episodes import counts_of, mean_of
 from gpusimbench.evaluator.report.sections.scaling import sentence as sweep_sentence
-from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, meaning_of_cm, usual
+from gpusimbench.evaluator.report.verdicts import (
+    NOT_COMPARED,
+    QUESTIONS,
+    TO_REFERENCE,
+    Question,
+    another_run,
+    meaning_of_cm,
+    usual,
+)
 from gpusimbench.evaluator.results import growth
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
@@ -158,6 +166,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     yield from made
     if said := _signs([row.cells for one in made for row in one.rows], results):
         yield Text(said, Tone.QUIET)
+    if said := _not_compared(questions, results):
+        yield Text(said, Tone.QUIET)
     if said := _behind_a_yes(results):
         yield Text(said, Tone.QUIET)
     yield from (Text(said, Tone.BAD) for said in first(list(_incomplete(results)), _NOTES, " with such runs"))
@@ -205,6 +215,17 @@ def _signs(rows: Sequence[Sequence[Cell | str]], results: Sequence[GroupResult])
     return "; ".join(meaning for there, meaning in meanings if there)
 
 
+def _not_compared(questions: Sequence[Question], results: Sequence[GroupResult]) -> str:
+    """Which questions have no answer in any row, where the reason is known; empty if there is none."""
+    said = []
+    for question in questions:
+        answers = [question.answer([result]) for result in results]
+        reasons = dict.fromkeys(note for answer in answers for note in answer.notes)
+        if reasons and all(answer.text == NOT_COMPARED for answer in answers):
+            said.append(f"{question.brief or question.title} ({few(list(reasons), 1)})")
+    return f"not compared: {', '.join(said)}" if said else ""
+
+
 def _behind_a_yes(results: Sequence[GroupResult]) -> str:
     """How many checks of mechanics a yes of the table stands for; empty where no group has one."""
     made = [r.fidelity for r in results if r.fidelity.checkable and not r.fidelity.of(CheckVerdict.BROKEN)]
@@ -224,7 +245,9 @@ def _fastest(found: Fastest, results: Sequence[GroupResult]) -> str:
         said += f"; not shown to be slower: {rival.result.label}, {rival.said}"
     passed = [f"{few([r.label for r in those], _PASSED)} ({why})" for why, those in not_ranked(found, results).items()]
     faster = "faster, but not ranked" if found.first else "not ranked"
-    return said + (f"; {faster}: {'; '.join(passed)}" if passed else "")
+    said += f"; {faster}: {'; '.join(passed)}" if passed else ""
+    others = few([speed.result.label for speed in found.other_steps], _PASSED)
+    return said + (f"; not compared, timed over other steps: {others}" if others else "")
 
 
 def _troubles(evaluation: Evaluation) -> Iterator[Text]:

@@ -52,6 +52,8 @@ class Fastest:
     faster         groups with a higher throughput that are not named first, each with the reason: of the groups of one
                    simulator with one kind of reason, the fastest
     remarks        what must be known to compare the two
+    other_steps    of each simulator that none of these groups is of: its fastest group, timed over other steps, if its
+                   throughput is above that of the first
     """
 
     scene: str
@@ -60,6 +62,7 @@ class Fastest:
     second: Speed | None
     faster: tuple[tuple[Speed, str], ...]
     remarks: tuple[str, ...]
+    other_steps: tuple[Speed, ...] = ()
 
     @property
     def rival(self) -> Speed | None:
@@ -105,6 +108,7 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
         kinds = {r.label: _kind(r, faults[r.label], results) for r in alike if faults[r.label]}
         wrong = _best([r for r in alike if faults[r.label]], scene, device, kinds)
         first, second = (*sound, None, None)[:2]
+        others = _best(_timed_otherwise(found, alike), scene, device)
         yield Fastest(
             scene,
             device,
@@ -112,7 +116,16 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
             second,
             tuple((s, faults[s.result.label]) for s in wrong if first is None or s.fps > first.fps),
             tuple(line for line in timed.remarks(s.result for s in sound[:2]) if line != timed.LEGEND),
+            tuple(s for s in others if first is None or s.fps > first.fps),
         )
+
+
+def _timed_otherwise(found: Sequence[GroupResult], alike: Sequence[GroupResult]) -> list[GroupResult]:
+    """Of simulators that have no group among those alike: groups that differ from these in the timed steps alone."""
+    compared = {r.group.key.simulator for r in alike}
+    _, *conditions = window_key(alike[0].group.key, alike[0].timed)
+    others = [r for r in found if r.group.key.simulator not in compared]
+    return [r for r in others if list(window_key(r.group.key, r.timed)[1:]) == conditions]
 
 
 def _kind(result: GroupResult, reason: str, results: Sequence[GroupResult]) -> str:

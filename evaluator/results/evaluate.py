@@ -126,7 +126,10 @@ def evaluate(
         )
     if protocol.elsewhere and not all(run.of_program for run in distinct):
         named = ", ".join(protocol.elsewhere)
-        notes.append(f"{PROTOCOL} is for the benchmark's own scenes, and is not asked of {named}")
+        notes.append(
+            f"{PROTOCOL} is for the benchmark's own scenes; of {named}, only its rules on timed steps and evidence of "
+            "work are asked, and only to rank throughputs"
+        )
     found = [
         _evaluate_group(
             g, label, protocol.of(g.recordings), targets.get(g.key.scene) or Missing(why_not), times[g.key.scene], work

@@ -112,7 +112,7 @@ def identical(estimate: Estimate) -> Claim:
     if isinstance(estimate.value, Missing):
         return Claim(None, estimate.value.reason)
     if estimate.n < 2:
-        return Claim(None, "there is one alone, and nothing to compare it with")
+        return Claim(None, "only one was recorded")
     if estimate.value != 1:
         return Claim(False)
     details = estimate.details

@@ -89,7 +89,7 @@ def timed_work(key: GroupKey, runs: Sequence[Run], unmet: Unmet) -> TimedWork:
     )  # fmt: skip
 
 
-def window_key(key: GroupKey, work: TimedWork) -> Hashable:
+def window_key(key: GroupKey, work: TimedWork) -> tuple[Hashable, ...]:
     """What throughputs of one scene have to share to be compared.
 
     The timed steps, the scene's description, how long a step is [s], and the settings that states depend on, such as

@@ -181,6 +181,8 @@ def find_simulator(name: str) -> Entry:
         hint = _packaged(name, known.values()) or did_you_mean(name, [*known, REAL])
         if name.lower() in _TASKS:
             hint = "; its tasks are recorded as a program steps them, by gpusimbench.wrap"
+        if "," in name:
+            hint = "; a call records one simulator: call it again for each of the others"
         raise UsageError(
             f"there is no simulator '{name}'; known: {', '.join(known)}, {REAL} (see gsb-record --list){hint}"
         )

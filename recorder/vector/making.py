@@ -46,7 +46,10 @@ def registered(spec_id: str, keywords: Mapping[str, Any], n_env: int, *, vectori
     except UsageError:
         raise
     except Exception as error:  # of a task's own kind, such as a keyword that it does not know
-        raise UsageError(f"{spec_id} cannot be made: {type(error).__name__}: {error}") from None
+        own = isinstance(error, gymnasium.error.UnregisteredEnv)  # perhaps by the recording's program itself
+        advice = "; for a task that your program registers, give --make MODULE:FUNCTION" if own else ""
+        said = f"{type(error).__name__}: {error}".rstrip(".")
+        raise UsageError(f"{spec_id} cannot be made: {said}{advice}") from None
 
 
 def of_factory(name: str, n_env: int) -> Any:

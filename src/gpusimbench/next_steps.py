@@ -22,6 +22,9 @@ _HEAD_BYTES = 16 << 10
 _RECORDER = re.compile(r"-n\d+-r\d+-\d{8}T\d{6}Z\.mcap$")
 """Ends the names that gsb-record gives; a file of another name is likely to be of a user's program."""
 
+_OF_COMMANDS = frozenset({"audit", "fit", "imports"})
+"""Default folders of gsb-audit, gsb-fit and gsb-import, which evaluate their recordings themselves."""
+
 _SHOWN = 3  # folders
 _COLUMN = 44
 
@@ -53,7 +56,7 @@ def next_steps(folder: Path = Path()) -> list[str]:
     unfinished = [path for f in found for path in f.unfinished]
     if not found:
         return [*_without_recordings(), "", *_more()]
-    steps = [*_of_sets(sets), *_of_pages(pages)]
+    steps = [*_of_sets([f for f in sets if f.folder.name not in _OF_COMMANDS] or sets), *_of_pages(pages)]
     if unfinished:
         steps.append((f"gsb share recover {_word(unfinished[0])}", "what a crash left of a recording"))
     if not sets:

@@ -44,7 +44,7 @@ def test_a_warm_up_of_its_own_is_no_reason_to_be_left_out(tmp_path: Path) -> Non
     assert quick.metrics[Axis.THROUGHPUT] == Missing(why)
     assert quick.figures.run_to_run == 0
     assert need(found, REPRODUCIBLE).pick == "a"
-    assert need(found, REPRODUCIBLE).unranked == (f"quick (run-to-run 0.00 cm, parallel 0.00 cm): {why}",)
+    assert need(found, REPRODUCIBLE).unranked == (f"quick (W1 between runs 0.00 cm, W1 between envs 0.00 cm): {why}",)
 
 
 def test_a_throughput_without_evidence_of_work_is_compared_with_none(tmp_path: Path) -> None:

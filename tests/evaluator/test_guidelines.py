@@ -56,8 +56,10 @@ def test_evidence_names_the_numbers() -> None:
     """Print the deciding numbers, who does not qualify and who was not measured."""
     found = row([*PUBLISHED, SimulatorResult("New", fps=1e9)], "reproducible")
     assert found.evidence is not None
-    assert found.evidence.startswith("Genesis (run-to-run 0.00 cm, parallel 0.00 cm, 2.234e+04 FPS); MJX (")
-    assert "do not qualify: Isaac Lab (run-to-run 0.00 cm, parallel 4.21 cm" in found.evidence
+    assert found.evidence.startswith(
+        "Genesis (W1 between runs 0.00 cm, W1 between envs 0.00 cm, 2.234e+04 env-steps/s); MJX ("
+    )
+    assert "do not qualify: Isaac Lab (W1 between runs 0.00 cm, W1 between envs 4.21 cm" in found.evidence
     assert found.evidence.endswith("not measured: New")
 
 
@@ -72,20 +74,26 @@ def test_nobody_qualifies() -> None:
     """Make no pick where no simulator meets the condition."""
     found = row([PUBLISHED[2], PUBLISHED[5]], "reproducible")
     assert isinstance(found.pick, Missing) and found.evidence is None
-    assert found.pick.reason.startswith("no simulator qualifies: Madrona (run-to-run 11.47 cm")
+    assert found.pick.reason.startswith("no simulator qualifies: Madrona (W1 between runs 11.47 cm")
 
 
 def test_one_alone_is_no_comparison() -> None:
     """Make no pick where only one simulator has the figures."""
     found = row([PUBLISHED[0], SimulatorResult("New", fps=1.0)], "memory")
-    assert found.pick == Missing("only Genesis has all the figures that the rule needs")
+    lacking = "missing: GPU memory increment, N_env^max (a sweep)"
+    assert found.pick == Missing(f"only Genesis has all the figures that the rule needs; {lacking}")
 
 
 def test_nothing_measured() -> None:
     """Give a reason in every row where there is nothing to compare."""
     for results in ([], [SimulatorResult("a"), SimulatorResult("b")]):
         for found in guidelines(results):
-            assert found.pick == Missing("no simulator has all the figures that the rule needs")
+            assert isinstance(found.pick, Missing)
+            assert found.pick.reason.startswith("no simulator has all the figures that the rule needs")
+            assert ("; missing: " in found.pick.reason) == bool(results)
+    found = row([SimulatorResult(n, run_to_run=0.0) for n in "ab"], "reproducible")
+    assert isinstance(found.pick, Missing)
+    assert found.pick.reason.endswith("; missing: W1 between envs")
 
 
 def test_exact_ties_are_both_named() -> None:
@@ -122,8 +130,8 @@ def test_sunk_cubes_bar_a_pick() -> None:
     assert sound.pick == "Madrona"
     assert found.pick == "Isaac Lab"  # whose N_env^max is the largest of what is left
     assert found.evidence is not None
-    assert "barred: Madrona (N_env^max 262144, 4.811e+05 FPS): 9 of 27 bodies per env sank" in found.evidence
-    assert found.barred == ("Madrona (N_env^max 262144, 4.811e+05 FPS): 9 of 27 bodies per env sank",)
+    assert "barred: Madrona (N_env^max 262144, 4.811e+05 env-steps/s): 9 of 27 bodies per env sank" in found.evidence
+    assert found.barred == ("Madrona (N_env^max 262144, 4.811e+05 env-steps/s): 9 of 27 bodies per env sank",)
 
 
 def test_bars_of_loose_bodies_and_of_robots_are_two() -> None:
@@ -146,7 +154,7 @@ def test_reproducible_without_a_throughput() -> None:
     other = [replace(r, fps=None, why_no_fps=why) if r.name == "MJX" else r for r in PUBLISHED]
     found = row(other, "reproducible")
     assert found.pick == "Genesis"
-    assert found.unranked == (f"MJX (run-to-run 0.00 cm, parallel 0.00 cm): {why}",)
+    assert found.unranked == (f"MJX (W1 between runs 0.00 cm, W1 between envs 0.00 cm): {why}",)
     assert found.evidence is not None
     assert f"qualify too, not ranked: {found.unranked[0]}" in found.evidence
     assert "MJX" not in found.unmeasured
@@ -158,7 +166,7 @@ def test_reproducible_without_a_throughput() -> None:
 def test_runner_up() -> None:
     """Name who comes next with its numbers, and nobody where nobody else qualifies."""
     found = row(PUBLISHED, "sim-to-real, contact-rich, single run")
-    assert found.runner_up == "Playground (EMD to real 3.38 cm)"
+    assert found.runner_up == "Playground (W1 to real trials 3.38 cm)"
     assert row(PUBLISHED, "large parallelism with simple agents").runner_up is None
 
 

@@ -147,10 +147,35 @@ def test_other_timed_steps_are_not_ranked(tmp_path: Path) -> None:
     """Rank among the steps that most were timed over."""
     for simulator, warmup, seconds in (("a", 100, 2.0), ("b", 100, 3.0), ("quick", 20, 0.1)):
         write_recording(tmp_path, grid(2), simulator=simulator, warmup=warmup, elapsed_s=seconds, proven=True)
-    (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    (found,) = fastest(evaluation.results)
     assert found.first is not None and found.second is not None  # noqa: PT018
     assert (found.first.result.label, found.second.result.label) == ("a", "b")
     assert not found.faster
+    assert "; not compared, timed over other steps: quick\n" in _printed(evaluation)
+    page = render_html(evaluation, published=False, command="")
+    assert "not compared, timed over other steps: quick: 20,000" in page
+
+
+def test_a_slower_simulator_timed_over_other_steps_is_not_told(tmp_path: Path) -> None:
+    """Name beside the fastest only what was faster; other conditions than timed steps are no reason to name a group."""
+
+    def varied(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["configuration"]["vary"] = "mass:0.1"
+
+    for simulator, warmup, seconds in (("a", 100, 2.0), ("b", 100, 3.0), ("slow", 20, 40.0)):
+        write_recording(tmp_path, grid(2), simulator=simulator, warmup=warmup, elapsed_s=seconds, proven=True)
+    write_recording(tmp_path, grid(2), simulator="quick", elapsed_s=0.1, proven=True, change=varied)
+    (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
+    assert found.other_steps == ()
+
+
+def _printed(evaluation: Evaluation) -> str:
+    """What gsb-eval prints, with unbroken lines."""
+    terminal = io.StringIO()
+    print_document(brief(evaluation), terminal)
+    return terminal.getvalue().replace("\n    ", " ")
 
 
 def test_varied_environments_are_not_ranked(tmp_path: Path) -> None:

@@ -508,7 +508,7 @@ def test_phases_that_differ_are_told_with_their_level(level: str, tmp_path: Path
     path = write_recording(tmp_path, grid(2), elapsed_s=1.0, determinism=level, **WRITTEN["observer"])
     report = check([examine(path)], [load_rules("integrity-1")])
     (found,) = (one for one in report.findings if one.rule.id == "observer")
-    assert found.found == f"at step 2, in 2 of 2 environments; recorded at level {level}"
+    assert found.found == f"timed and captured states differ at step 2, in 2 of 2 environments; level {level}"
     assert "capturing changed the states" in found.rule.do and "with --determinism" in found.rule.do
 
 

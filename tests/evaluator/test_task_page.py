@@ -113,3 +113,12 @@ def test_a_page_does_not_grow_with_the_ends_of_episodes() -> None:
     assert np.diff(sorted(end.step for end in shown)).max() <= 100_000 / MAX_BINS
     assert shown_ends(ends[:MAX_BINS], 0, 100_000) == ends[:MAX_BINS]
     assert len(curves_chart([("a", values)], steps, ends, name="a")) < 200_000
+
+
+def test_the_legend_shows_what_is_drawn() -> None:
+    """Show marks beside the names of curves whose points are marked, and of no others."""
+    for n, marked in ((10, True), (200, False)):
+        rising = np.arange(n, dtype=np.float64)
+        drawn = curves_chart([("a", rising), ("b", -rising)], np.arange(n), [], name="c")
+        # of the second curve: a square; the frame is a rectangle as well
+        assert ("<circle" in drawn, drawn.count("<rect") > 1) == (marked, marked), n

@@ -268,6 +268,7 @@ def test_block_sizes() -> None:
         (("--sim", "mujoco", "--scene", "moon"), "there is no scene 'moon'; known scenes: inclined-collision"),
         (("--sim", "abacus"), "there is no simulator 'abacus'; known: mujoco"),
         (("--sim", "mujoco_warp"), "did you mean 'warp'?"),
+        (("--sim", "mujoco,warp"), "a call records one simulator: call it again for each of the others"),
         (("--sim", "mujoco-mjx"), "did you mean 'mjx'?"),
         (("--sim", "ovphysx"), "did you mean 'physx'?"),
         (("--sim", "gymnasium"), "its tasks are recorded as a program steps them, by gpusimbench.wrap"),

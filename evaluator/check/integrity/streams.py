@@ -111,8 +111,8 @@ def _observer(recording: Recording, problems: Problems) -> None:
     steps, timed, captured = of_both_phases(*phases, c.intervention)
     for step, row in zip(steps, timed != captured, strict=True):
         if row.any():
-            envs = f"{int(row.sum())} of {plural(len(row), 'environment')}"
-            problems.add(Kind.observer, f"at step {step}, in {envs}; recorded at level {c.determinism}")
+            where = f"step {step}, in {int(row.sum())} of {plural(len(row), 'environment')}"
+            problems.add(Kind.observer, f"timed and captured states differ at {where}; level {c.determinism}")
 
 
 def _status(recording: Recording, problems: Problems) -> None:

@@ -83,7 +83,8 @@ def curves_chart(
 
     low_edge = _TOP + _UPRIGHT
     named = [(index, label) for index, (label, _) in enumerate(curves)] if len(curves) > 1 else []
-    legend, height = lines.legend(named, _LEFT, _HEIGHT, _SIDE)
+    long = {index for index, (_, values) in enumerate(curves) if len(shown_rows(values)) > _FEW}
+    legend, height = lines.legend(named, _LEFT, _HEIGHT, _SIDE, lines_alone=long)
     ticks = axis.ticks(low, high, at_most=5) if high > low else []
     return figure(
         _WIDTH,

@@ -37,12 +37,19 @@ def swatch(index: int) -> str:
 
 
 def legend(
-    labels: Sequence[tuple[int, str]], x: float, y: float, width: float, *, marks_alone: Collection[int] = ()
+    labels: Sequence[tuple[int, str]],
+    x: float,
+    y: float,
+    width: float,
+    *,
+    marks_alone: Collection[int] = (),
+    lines_alone: Collection[int] = (),
 ) -> tuple[str, float]:
     """Names of series below a figure, and the height that they take; a name without room loses its middle.
 
     labels       index and name of each
     marks_alone  indices of those that have no line in the figure
+    lines_alone  indices of those that have no marks in the figure
     """
     columns = 2 if all(len(label) * _LETTER < width / 2 - _SWATCH for _, label in labels) else 1
     room = int((width / columns - _SWATCH) / _LETTER)
@@ -52,7 +59,8 @@ def legend(
         shown = label if len(label) <= room else f"{label[: room // 2]}\u2026{label[1 - room + room // 2 :]}"
         if index not in marks_alone:
             drawn.append(path(index, f"M{number(left)} {number(middle)}h32"))
-        drawn.append(mark(index, left + 16, middle))
+        if index not in lines_alone:
+            drawn.append(mark(index, left + 16, middle))
         drawn.append(text(shown, left + _SWATCH, middle + 3.7, class_="small"))
     return element("g", *drawn) if drawn else "", _ROW * -(-len(labels) // columns)
 

@@ -91,7 +91,7 @@ def _table(source: Source, onsets: Sequence[Onset]) -> Table:
             lambda r: _doubling(found[r.label], reasons),
         ),
         (
-            Column(f"envs {limit} apart at [s]", "the first run to be so, of recorded steps"),
+            Column(f"envs {limit} apart by [s]", "first recorded state of any run at which they are; perhaps earlier"),
             lambda r: _number(found[r.label].to_1mm),
         ),
     ]

@@ -23,7 +23,7 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.numbers import ranked
+from gpusimbench.evaluator.render.numbers import NONE, ranked
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, not_ranked
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
@@ -231,8 +231,11 @@ def _named(speed: Speed | None) -> Cell:
 
 
 def _barred(found: Fastest, results: Sequence[GroupResult]) -> Cell:
+    others = found.other_steps
+    apart = [f"{one.result.group.key.simulator}: {ranked(one.result.metrics[FPS.name]).text}" for one in others]
+    untold = [f"not compared, timed over other steps: {'; '.join(apart)}"] if apart else []
     if not found.faster:
-        return Cell("-")
+        return Cell("; ".join(untold) or NONE, tone=Tone.QUIET)
     by_kind = not_ranked(found, results)
     simulators = [speed.result.group.key.simulator for speed, _ in found.faster]
     names = {  # of one simulator with several reasons, which group has which
@@ -242,4 +245,4 @@ def _barred(found: Fastest, results: Sequence[GroupResult]) -> Cell:
     notes = [why if len(names) == 1 else f"{', '.join(those)}: {why}" for why, those in names.items()]
     speeds = [r.metrics[FPS.name] for those in by_kind.values() for r in those]
     listed = zip((name for those in names.values() for name in those), map(ranked, speeds), strict=True)
-    return Cell("; ".join(f"{name}: {fps.text}" for name, fps in listed), notes=tuple(notes), tone=Tone.BAD)
+    return Cell("; ".join(f"{name}: {fps.text}" for name, fps in listed), notes=(*notes, *untold), tone=Tone.BAD)
