@@ -144,9 +144,10 @@ def record(jobs: Path) -> None:
     """Make the runs of a file of jobs, in this process, which has Taichi."""
     from gpusimbench.recorder.run.run import Run
     from gpusimbench.schemas.configuration import RunConfiguration
+    from gpusimbench.schemas.initial import GIVEN
     from gpusimbench.schemas.mcap.reader import Container
     from gpusimbench.schemas.provenance import Provenance
-    from gpusimbench.schemas.treatment import GIVEN, snapshot_name
+    from gpusimbench.schemas.treatment import snapshot_name
 
     for number, job in enumerate(json.loads(jobs.read_text())):
         path, c = Path(job["path"]), RunConfiguration.from_json(job["configuration"])
