@@ -31,7 +31,8 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.treatment import Initial, Keep
+from gpusimbench.schemas.initial import Initial
+from gpusimbench.schemas.treatment import Keep
 
 
 class Bench:

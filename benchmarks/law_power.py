@@ -38,7 +38,7 @@ from gpusimbench.recorder.run import start
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.recorder.simulators.registry import find_simulator
-from gpusimbench.schemas.treatment import Initial
+from gpusimbench.schemas.initial import Initial
 
 M = TypeVar("M")
 

@@ -33,7 +33,7 @@ from gpusimbench.evaluator.metrics.divergence import differs, ulp_distance
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mjx.physics import MjxOptions
 from gpusimbench.recorder.simulators.mjx.simulator import Mjx
-from gpusimbench.schemas.treatment import Initial
+from gpusimbench.schemas.initial import Initial
 
 RUN_TO_RUN = "--xla_gpu_deterministic_ops=true --xla_gpu_autotune_level=0"
 NO_FUSION = "--xla_disable_hlo_passes=" + ",".join(

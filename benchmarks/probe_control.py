@@ -5,7 +5,7 @@ none. Seeds, numbers of environments, spreads and steps differ from probe to pro
 its recordings, which a second process makes, in the calibration simulator's own environment (gsb-record --setup
 calibration); it records all of them, since a process of its own for each of a few thousand runs would take hours.
 
-    python -m benchmarks.probe_control [--probes 132] [--clean 132]         the counts of docs/probe.md
+    python -m benchmarks.probe_control [--probes 143] [--clean 143]         the counts of docs/probe.md
 """
 
 from __future__ import annotations
@@ -144,9 +144,10 @@ def record(jobs: Path) -> None:
     """Make the runs of a file of jobs, in this process, which has Taichi."""
     from gpusimbench.recorder.run.run import Run
     from gpusimbench.schemas.configuration import RunConfiguration
+    from gpusimbench.schemas.initial import GIVEN
     from gpusimbench.schemas.mcap.reader import Container
     from gpusimbench.schemas.provenance import Provenance
-    from gpusimbench.schemas.treatment import GIVEN, snapshot_name
+    from gpusimbench.schemas.treatment import snapshot_name
 
     for number, job in enumerate(json.loads(jobs.read_text())):
         path, c = Path(job["path"]), RunConfiguration.from_json(job["configuration"])
@@ -215,7 +216,7 @@ def recorded_elsewhere(jobs: list[dict[str, Any]], file: Path) -> None:
 def main() -> None:
     """Plant, record, judge, count."""
     p = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
-    p.add_argument("--probes", type=int, default=132, help="with a fault (default: %(default)s)")
+    p.add_argument("--probes", type=int, default=143, help="with a fault (default: %(default)s)")
     p.add_argument("--clean", type=int, help="without a fault (default: as many)")
     p.add_argument("--record", type=Path, help=argparse.SUPPRESS)
     arguments = p.parse_args()

@@ -16,15 +16,15 @@ def main(argv: list[str] | None = None) -> int:
         interruption.install()
         with interruption.shielded():
             from gpusimbench.recorder.command.command import run
+            from gpusimbench.schemas.commands.output import let_readers_leave
             from gpusimbench.schemas.errors import GsbError
             from gpusimbench.schemas.text import line, show
+        let_readers_leave()
         try:
             return run(sys.argv[1:] if argv is None else argv)
         except GsbError as error:
             show(line(f"gsb-record: {error}"), error=True)
             return int(error.exit_code)
-        except BrokenPipeError:
-            return 1  # the reader of our output has gone; nothing is left to say to it
     except KeyboardInterrupt:
         sys.stderr.write("gsb-record: interrupted\n")
         return 1

@@ -13,7 +13,7 @@ from gpusimbench.schemas.text import Block, Line, line
 
 
 def show(text: Line | Block) -> None:
-    """Print a line, or lines. GsbError where they cannot be written; BrokenPipeError where nobody reads them."""
+    """Print a line, or lines. GsbError where they cannot be written."""
     _write(lambda stream: texts.show(text))
 
 
@@ -56,9 +56,6 @@ def _write(write: Callable[..., object]) -> None:
     try:
         write(sys.stdout)
         sys.stdout.flush()
-    except BrokenPipeError:
-        drop()
-        raise
     except UnicodeEncodeError as error:
         raise GsbError(
             f"standard output is in {error.encoding} and cannot show {ascii(error.object[error.start : error.end])}; "

@@ -10,7 +10,8 @@ from typing import Any
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.treatment import VARIED, Given, Initial, Intervention, Keep, Vary, initial_words, parse_initial
+from gpusimbench.schemas.initial import Given, Initial, initial_words, parse_initial
+from gpusimbench.schemas.treatment import VARIED, Intervention, Keep, Vary
 
 USUAL_PHASES = ("timed", "capture")
 """Phases where nothing says which."""
@@ -114,7 +115,7 @@ class RunConfiguration:
     timeout      the run is ended after so many seconds; 0: never
     capture      one of CAPTURE_MODES
     view         environments whose captured states are written as what viewers draw, too
-    initial      how environments begin, as of treatment.Initial or Given; empty: in the scene's first state. This and
+    initial      how environments begin, as of schemas.initial; empty: in the scene's first state. This and
                  all that follow are a Setting each
     vary         which of their parameters differ, as of treatment.Vary; empty: none
     intervention what is done to their state on the way, as of treatment.Intervention; empty: nothing

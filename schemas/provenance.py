@@ -192,8 +192,8 @@ class EngineFacts:
     buffers        capacities beyond which the engine drops contacts or constraints; measured, never left at a default
     counters       what is counted at each step
     overflow_bits  what the bits of the topics /overflow/<phase> mean
-    remarks        what the engine had to say as it was built, such as warnings; no setting: runs that differ in this
-                   alone are alike
+    remarks        what the engine had to say as it was built, such as warnings, and what its adapter says of recorded
+                   states; no setting: runs that differ in this alone are alike
     """
 
     version: str

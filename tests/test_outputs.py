@@ -1,17 +1,21 @@
-"""What commands write: through no link that waits for them, and over no earlier result that a full disk would cost."""
+"""What commands write: through no link that waits for them, over no earlier result that a full disk would cost, and to
+readers that leave."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from gpusimbench import open_recording
 from gpusimbench.evaluator.cli import check, compare, diff, info, share, view
 from gpusimbench.evaluator.cli import eval as evaluate
 from gpusimbench.recorder import cli as record
+from tests.conftest import SMALL, call, command
 from tests.schemas.test_writing import full_disk
 from tests.synthetic import grid, write_recording
 
@@ -121,3 +125,51 @@ def test_a_recording_is_not_written_through_a_link(tmp_path: Path, monkeypatch: 
     assert record.main([*arguments, "--unit", "m", "--out", str(tmp_path / "runs")]) == 0
     assert not (tmp_path / "victim").exists()
     assert (tmp_path / "runs" / f"{stem}-2.mcap").is_file()
+
+
+def _unread(*words: object, errors_too: bool = False, **environment: str) -> tuple[int, str]:
+    """Exit code and errors of a command whose output goes into a pipe that nobody reads any more."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            [*command(str(words[0])), *map(str, words[1:])], stdout=writer, text=True, timeout=300,
+            stderr=writer if errors_too else subprocess.PIPE, env={**os.environ, **environment},
+        )  # fmt: skip
+    finally:
+        os.close(writer)
+    return done.returncode, done.stderr or ""
+
+
+@pytest.mark.parametrize("unbuffered", ["", pytest.param("1", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("gsb",),
+        ("gsb", "--help"),
+        ("gsb-check", "--print-completion", "bash"),
+        ("gsb-diff", "RUNS/a.mcap", "RUNS/b.mcap"),
+        ("gsb-diff", "RUNS/a.mcap", "RUNS/b.mcap", "--json", "-"),
+        ("gsb-info", "RUNS/a.mcap"),
+        ("gsb-record", "--list"),
+        ("gsb-record", "--list", "--json"),
+    ],
+)
+def test_a_reader_that_leaves(runs: Path, arguments: tuple[str, ...], unbuffered: str) -> None:
+    """End in silence, with the exit code that the command has where all of its output is read."""
+    words = [word.replace("RUNS", str(runs)) for word in arguments]
+    code = call(*words).returncode
+    assert _unread(*words, PYTHONUNBUFFERED=unbuffered) == (code, "")
+
+
+def test_a_reader_of_errors_that_leaves(runs: Path) -> None:
+    """End with the exit code of an error that nobody reads."""
+    assert _unread("gsb-info", runs / "nowhere.mcap", errors_too=True) == (3, "")
+
+
+def test_a_recorder_whose_reader_leaves(tmp_path: Path) -> None:
+    """Make the runs that were asked for."""
+    code, said = _unread("gsb-record", "--sim", "mujoco", "--n-env", 1, "--runs", 2, *SMALL, "--out", tmp_path)
+    assert code == 0, said
+    assert "Traceback" not in said
+    assert [open_recording(path).status for path in tmp_path.iterdir()] == ["complete"] * 2

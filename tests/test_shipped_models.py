@@ -13,7 +13,8 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import ExitCode
-from gpusimbench.schemas.treatment import CONTROLS, GIVEN
+from gpusimbench.schemas.initial import GIVEN
+from gpusimbench.schemas.treatment import CONTROLS
 from tests.conftest import call
 from tests.scripts import drawn, script
 from tests.test_docs import FENCE, shows

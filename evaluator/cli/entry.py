@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import write_json
 from gpusimbench.schemas.commands.command_line import add_common
+from gpusimbench.schemas.commands.output import let_readers_leave
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.commands.progress import Progress
 from gpusimbench.schemas.errors import ExitCode, GsbError
@@ -45,6 +46,7 @@ def _enter(
     run  takes the arguments; their `command_line` is the whole command as a shell would take it, without what gives
          access to addresses
     """
+    let_readers_leave()
     given = sys.argv[1:] if argv is None else argv
     arguments = parser.parse_args(given)
     arguments.command_line = shlex.join([parser.prog, *map(shown_argument, given)])
@@ -68,10 +70,9 @@ def _enter(
         complain(parser.prog, "not enough memory: free some, or give fewer files at a time")
         return int(ExitCode.FAILURE)
     except OSError as error:
-        # the reader of our output has gone, or its disk is full; what is left in the buffer must not complain again
+        # the disk of our output is full; what is left in the buffer must not complain again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):
-            complain(parser.prog, f"cannot write the results: {error.strerror}")
+        complain(parser.prog, f"cannot write the results: {error.strerror}")
         return int(ExitCode.FAILURE)
     return code
 

@@ -10,9 +10,10 @@ from typing import Any
 
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.initial import GIVEN
 from gpusimbench.schemas.model_files import COMPRESSED, MODEL
 from gpusimbench.schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SIMULATION
-from gpusimbench.schemas.treatment import CONTROLS, GIVEN, SNAPSHOT
+from gpusimbench.schemas.treatment import CONTROLS, SNAPSHOT
 
 _PACKAGE = "software.packages."
 UNSET = "(unset)"

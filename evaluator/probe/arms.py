@@ -11,17 +11,9 @@ from dataclasses import dataclass, replace
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import GroupKey, key_of
 from gpusimbench.schemas.configuration import TELLING, RunConfiguration
+from gpusimbench.schemas.initial import Given, Initial, drawn, initial_words, parse_initial
 from gpusimbench.schemas.text import plural
-from gpusimbench.schemas.treatment import (
-    Given,
-    Initial,
-    Intervention,
-    Vary,
-    drawn,
-    initial_words,
-    parse_initial,
-    snapshot_name,
-)
+from gpusimbench.schemas.treatment import Intervention, Vary, snapshot_name
 
 
 @dataclass(frozen=True)

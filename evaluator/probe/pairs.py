@@ -28,7 +28,7 @@ class Pairs:
     envs   of each pair, the environment of a and that of b
     ahead  the state of a after step s + ahead is held against that of b after step s
     first  step of b to begin with: 0 is the initial state
-    mirror the mirror images of b's states are compared, as of schemas.treatment.AXES, and zeros have no sign; empty:
+    mirror the mirror images of b's states are compared, as of schemas.initial.AXES, and zeros have no sign; empty:
            the states themselves, bit by bit
     """
 

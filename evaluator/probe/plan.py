@@ -8,8 +8,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.initial import INITIAL_KINDS, Initial, drawn
 from gpusimbench.schemas.text import plural
-from gpusimbench.schemas.treatment import INITIAL_KINDS, KINDS, Initial, Intervention, Vary, drawn
+from gpusimbench.schemas.treatment import KINDS, Intervention, Vary
 
 CONFIRMED = 2
 """Further runs of arms that differ."""

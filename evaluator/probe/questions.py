@@ -23,9 +23,10 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.streams import of_both_phases
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.initial import INITIAL_KINDS, Initial
 from gpusimbench.schemas.mirror import why_unlike_its_image
 from gpusimbench.schemas.text import bound, plural
-from gpusimbench.schemas.treatment import INITIAL_KINDS, KINDS, Initial, Intervention
+from gpusimbench.schemas.treatment import KINDS, Intervention
 
 _WHY = 60  # characters of why an arm is missing
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import name_of
 from gpusimbench.evaluator.probe.finding import verdict_of
-from gpusimbench.evaluator.read import known_errors
 from gpusimbench.evaluator.render.document import EMPTY, NONE, Block, Cell, Document, Facts, Text, Tone, facts, table
 from gpusimbench.evaluator.render.numbers import estimate
 from gpusimbench.evaluator.report import timed, words
@@ -26,7 +25,6 @@ from gpusimbench.evaluator.report.verdicts import (
     meaning_of_cm,
     usual,
 )
-from gpusimbench.evaluator.results import growth
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -179,7 +177,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
             yield Text(f"{result.label}: {speeds.note(mean)}", Tone.WARNING)
     notes: dict[str, list[str]] = {}
     for result in results:
-        for note in (*growth.notes(result.group.complete), *known_errors.notes(result.group.recordings)):
+        for note in result.doubts:
             notes.setdefault(note, []).append(result.label)
     yield from (Text(f"{few(of, _PASSED)}: {note}", Tone.WARNING) for note, of in notes.items())
     if hidden := len(evaluation.results) - len(results):

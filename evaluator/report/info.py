@@ -22,10 +22,10 @@ from gpusimbench.evaluator.runs.memory import described
 from gpusimbench.schemas import __version__
 from gpusimbench.schemas.configuration import MAX_VIEW, TELLING, RunConfiguration
 from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.initial import initial_words
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
 from gpusimbench.schemas.text import cut, ordinal, plural
-from gpusimbench.schemas.treatment import initial_words
 from gpusimbench.schemas.vector import RESET_KEYS, RESET_SEEDS
 
 _SOURCES = {

@@ -309,6 +309,7 @@ def _evaluate_group(
         reference = Missing("the environments are set to the reference's states on the way")
     group_runs = GroupRuns(runs, reference, work, *errors)
     planar = group_runs.planar
+    doubts = (*growth.notes(runs), *known_errors.notes(group.recordings))
     result = GroupResult(
         group=group,
         label=label,
@@ -317,7 +318,8 @@ def _evaluate_group(
         validity=validity_of(group),
         fidelity=fidelity(label, [run.physics for run in runs]),
         laws=laws(label, [run.physics for run in runs]),
-        notes=tuple(_notes(group, runs, reference, sample_time)),
+        notes=(*_notes(group, runs, reference, sample_time), *doubts, *memory.notes(runs)),
+        doubts=doubts,
         spreads=tuple(RunSpread(r.configuration.run_index, r.spread) for r in runs),
         timed=timed_work(group.key, runs, unmet),
     )
@@ -332,7 +334,7 @@ def _notes(group: Group[Run], runs: Sequence[Run], reference: Reference | Missin
         notes.append(f"positions are those at {sampled:g} s, the step nearest to {sample_time:g} s")
     if isinstance(reference, Reference) and reference.run_id in {r.provenance.run_id for r in runs}:
         notes.append("the reference is one of this group's own runs, whose distance of zero is part of the mean")
-    return [*notes, *growth.notes(runs), *known_errors.notes(group.recordings), *memory.notes(runs)]
+    return notes
 
 
 def _warnings(result: GroupResult) -> list[str]:

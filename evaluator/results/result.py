@@ -57,6 +57,8 @@ class GroupResult:
     fidelity         whether the states keep to mechanics
     laws             of motions that are known in closed form, or why they could not be measured
     notes            sentences that a reader must see beside the numbers
+    doubts           those of the notes that speak against the numbers of this group even among many groups: growth with
+                     the steps, known errors of its recorder
     footnotes        on its label: protocol and environment variables that differ from the others of its scene
     spreads          of the complete runs
     timed            what its throughput was measured over
@@ -73,6 +75,7 @@ class GroupResult:
     timed: TimedWork = TimedWork()
     footnotes: tuple[str, ...] = ()
     laws: tuple[Law | Unmeasured, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,10 @@ from gpusimbench.evaluator.runs.positions import in_env_frame
 from gpusimbench.schemas import arrays, checks
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.initial import GIVEN
 from gpusimbench.schemas.text import ordinal, plural
 from gpusimbench.schemas.tosses import GROUP, ODD, TOSSES, TossSet, judged_on
-from gpusimbench.schemas.treatment import GIVEN, TEACHER, Intervention
+from gpusimbench.schemas.treatment import TEACHER, Intervention
 
 _ALIKE = 1e-4  # of two first states [m, and of quaternions]: float32 far from the origin rounds to 8e-6 m
 _PARTS = ("position", "orientation", "linear_velocity", "angular_velocity")  # of a Motion, in its order

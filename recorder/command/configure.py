@@ -11,7 +11,8 @@ from gpusimbench.recorder.interruption import shielded
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import SETTINGS, RunConfiguration
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.treatment import CONTROLS, GIVEN
+from gpusimbench.schemas.initial import GIVEN
+from gpusimbench.schemas.treatment import CONTROLS
 
 if TYPE_CHECKING:
     from gpusimbench.recorder.scenes.base import Scene

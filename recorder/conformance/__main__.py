@@ -20,6 +20,7 @@ from gpusimbench.recorder.output import show, show_document
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands.output import leavable, let_readers_leave
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.scratch import scratch_folder
 from gpusimbench.schemas.text import line
@@ -129,8 +130,9 @@ def _elsewhere(interpreter: Interpreter, given: list[str]) -> int:
 
 def _take_standard_output() -> None:
     # Engines print below Python's streams, too: results keep the real standard output, all else goes where errors go.
+    let_readers_leave()
     sys.stdout.flush()
-    sys.stdout = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding)
+    sys.stdout = leavable(sys.stdout, os.dup(1))
     os.dup2(2, 1)
 
 
@@ -142,8 +144,6 @@ def main() -> int:
     except GsbError as error:
         say(f"gpusimbench.recorder.conformance: {error}")
         return int(error.exit_code)
-    except BrokenPipeError:
-        return int(ExitCode.FAILURE)
     except KeyboardInterrupt:
         say("gpusimbench.recorder.conformance: interrupted")
         return int(ExitCode.FAILURE)

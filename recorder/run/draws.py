@@ -7,8 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.schemas.initial import Initial
 from gpusimbench.schemas.mixing import GOLDEN32, mix32
-from gpusimbench.schemas.treatment import Initial, Vary
+from gpusimbench.schemas.treatment import Vary
 
 GRID = 2.0**-13
 """What is drawn is a whole multiple of this, so that its sum with zero or one is exact in either precision."""

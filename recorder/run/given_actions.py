@@ -14,8 +14,9 @@ from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.action_generator import Streams
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.initial import drawn
 from gpusimbench.schemas.messages import message_class
-from gpusimbench.schemas.treatment import Intervention, drawn
+from gpusimbench.schemas.treatment import Intervention
 
 
 def streams_of(configuration: RunConfiguration) -> Streams:

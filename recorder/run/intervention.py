@@ -21,7 +21,8 @@ from gpusimbench.schemas import arrays
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.treatment import GIVEN, KINDS, TEACHER, Intervention
+from gpusimbench.schemas.initial import GIVEN
+from gpusimbench.schemas.treatment import KINDS, TEACHER, Intervention
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ from gpusimbench.schemas.action_generator import describe_generator
 from gpusimbench.schemas.arrays import MEDIA_TYPE
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError
+from gpusimbench.schemas.initial import GIVEN
 from gpusimbench.schemas.provenance import (
     ENGINE_LOG,
     PACKAGES,
@@ -59,7 +60,7 @@ from gpusimbench.schemas.provenance import (
     SIMULATION,
     Provenance,
 )
-from gpusimbench.schemas.treatment import GIVEN, VARIED
+from gpusimbench.schemas.treatment import VARIED
 
 
 @dataclass(frozen=True)

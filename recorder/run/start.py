@@ -22,12 +22,13 @@ from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, decode_state, state_hea
 from gpusimbench.schemas.checks import Budget
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.initial import GIVEN, INITIAL_KINDS, MOST_SPREAD, Given, Initial, parse_initial
 from gpusimbench.schemas.mcap.contents import Message
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.mirror import mirrored, why_unlike_its_image
 from gpusimbench.schemas.provenance import SIMULATION, Simulation
 from gpusimbench.schemas.tosses import NOTICE
-from gpusimbench.schemas.treatment import GIVEN, INITIAL_KINDS, MOST_SPREAD, TEACHER, Given, Initial, parse_initial
+from gpusimbench.schemas.treatment import TEACHER
 
 ITEMS = "items"
 """Of given states: GROUP/items has the names of a group's bodies or joints, in the order of its arrays."""
@@ -209,7 +210,7 @@ def mirror_images(
 ) -> tuple[NDArray[np.floating], ...]:
     """States [env, item, width] of these fields, mirrored in a plane through the origin of each environment.
 
-    axes     as of schemas.treatment.AXES
+    axes     as of schemas.initial.AXES
     origins  of the environments [m]; empty where all are at zero
     """
     found = []

@@ -164,7 +164,9 @@ def model_scene(
             f"{own} has numbers that are not finite: MuJoCo compiles it with {', '.join(odd)} of NaN or inf"
         )
     if not model.njnt:
-        raise UsageError(f"{own} has no joint, so that nothing in it moves")
+        raise UsageError(
+            f"{own} has no joint, so that nothing in it moves: give a body a <freejoint/>, or a <joint/> to its parent"
+        )
     chosen, key = keyframe_of(model, keyframe)
     controls, drawn = controls_of(model, actions, key, file)
     free, balls = moving(model, mjtJoint.mjJNT_FREE), moving(model, mjtJoint.mjJNT_BALL)

@@ -25,11 +25,12 @@ from gpusimbench.schemas.configuration import TELLING, RunConfiguration
 from gpusimbench.schemas.digest import attachment_name, content_hash
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.initial import GIVEN, Given, drawn
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.model_files import COMPRESSED, MODEL, plain
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
 from gpusimbench.schemas.text import cut, ordinal, plural
-from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED, FromFile, Given, drawn, snapshot_name
+from gpusimbench.schemas.treatment import CONTROLS, VARIED, FromFile, snapshot_name
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
 

@@ -24,9 +24,10 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.cube_toss import EDGE, RATE
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from gpusimbench.schemas.initial import Given
 from gpusimbench.schemas.tosses import GROUP, MAX_TOSSES, NOTICE, TossSet
 from gpusimbench.schemas.tosses import SYNTHETIC as SYNTHETIC_SOURCE
-from gpusimbench.schemas.treatment import TEACHER, Given
+from gpusimbench.schemas.treatment import TEACHER
 
 VARIABLE = "GSB_CUBE_TOSS"
 """Environment variable with the path of the set, where --tosses is not given."""

@@ -1,9 +1,10 @@
-"""A command's output, kept from what libraries print and from the processes that they start."""
+"""A command's output: its reader may leave, and neither libraries nor the processes that they start write to it."""
 
 from __future__ import annotations
 
 import io
 import os
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
@@ -24,6 +25,41 @@ class OfMainThread:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
+
+
+class _Leavable(io.FileIO):
+    """A file descriptor to write to; once a pipe has no reader, what is written goes nowhere."""
+
+    def write(self, data: Any) -> int:
+        """As of io.FileIO."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self.fileno())  # libraries that write below Python's streams do not fail either
+            os.close(nowhere)
+            return len(data)
+
+
+def leavable(stream: Any, descriptor: int) -> io.TextIOWrapper:
+    """A stream like another, to an open file descriptor, whose reader may leave (see let_readers_leave)."""
+    raw = _Leavable(descriptor, "w", closefd=False)
+    return io.TextIOWrapper(
+        raw if stream.write_through else io.BufferedWriter(raw),  # as of Python's own streams
+        stream.encoding, stream.errors, line_buffering=stream.line_buffering, write_through=stream.write_through,
+    )  # fmt: skip
+
+
+def let_readers_leave() -> None:
+    """Let whoever reads this process's output and errors stop reading, as `head` does after some lines.
+
+    The command goes on and ends with the exit code of what it found, which no reader changes. A stream that a caller
+    has put in the place of the process's own stays as it is.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if type(stream) is io.TextIOWrapper and stream is getattr(sys, f"__{name}__"):
+            setattr(sys, name, leavable(stream, stream.fileno()))
 
 
 @contextmanager

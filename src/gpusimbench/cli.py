@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import Any
 
 from gpusimbench.schemas.commands.command_line import add_common
+from gpusimbench.schemas.commands.output import let_readers_leave
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.text import block, show, write_every_sign
 
@@ -110,6 +111,7 @@ def _names() -> dict[str, tuple[str, ...]]:
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point of gsb."""
+    let_readers_leave()
     given = sys.argv[1:] if argv is None else argv
     if not given:
         from gpusimbench.next_steps import next_steps

@@ -18,7 +18,7 @@ from gpusimbench.evaluator.runs.physics.facts import LawCounts, PhysicsFacts
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 from gpusimbench.evaluator.statistics.families import uniformity
 from gpusimbench.recorder.run.start import orientations
-from gpusimbench.schemas.treatment import Initial
+from gpusimbench.schemas.initial import Initial
 from tests.conftest import call
 
 _N_ENV = 20

@@ -24,7 +24,7 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import joint_field
-from gpusimbench.schemas.treatment import Initial
+from gpusimbench.schemas.initial import Initial
 from tests.conftest import call
 
 ENVS = 8

@@ -234,8 +234,11 @@ def test_fallen_bodies_do_not_set_the_scale_of_the_picture(tmp_path: Path) -> No
         (["a", "--json", "b.mcap"], "named like a recording"),
     ],
 )
-def test_what_cannot_be_asked(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_asked(
+    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Exit 2 before any file is opened, in one line."""
+    monkeypatch.chdir(tmp_path)  # a folder "a" where tests run would be asked for its recordings
     assert main(arguments) == 2
     assert said in capsys.readouterr().err
 

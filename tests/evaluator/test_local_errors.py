@@ -24,7 +24,7 @@ from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_METRICS, TOSS_
 from gpusimbench.evaluator.runs.toss_motion import errors_of, local_errors_of, measured_tosses
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import ExitCode
-from gpusimbench.schemas.treatment import GIVEN
+from gpusimbench.schemas.initial import GIVEN
 from tests.conftest import Command, call, recorded
 from tests.evaluator.test_toss_errors import CUBE, DT, flight
 

@@ -37,9 +37,10 @@ from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.commands.folder_lock import folder_lock as held_by
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import body_fields, joint_field
+from gpusimbench.schemas.initial import Initial
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
-from gpusimbench.schemas.treatment import Initial, Intervention
+from gpusimbench.schemas.treatment import Intervention
 from tests.conftest import Command, call, made_once
 from tests.synthetic import grid, write_recording
 

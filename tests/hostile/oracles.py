@@ -11,6 +11,7 @@ import hashlib
 import logging
 import resource
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -118,14 +119,23 @@ def disagreement(path: Path, *, thorough: bool = True) -> str:
 
     Raises what a reader raises that is no GsbError.
     """
-    logging.disable(logging.WARNING)
     began, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with in_time():
+    with _no_warnings(), in_time():
         what = _disagreement(path, thorough=thorough)
     if (took := time.process_time() - began) > SECONDS:
         return f"slow: {took:.0f} s"
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) << 10
     return what or (f"large: {grown >> 20} MiB" if grown > BYTES else "")
+
+
+@contextlib.contextmanager
+def _no_warnings() -> Iterator[None]:
+    disabled = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(disabled)
 
 
 def _disagreement(path: Path, *, thorough: bool) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,12 @@ def test_a_summary_that_contradicts_itself() -> None:
 def test_the_corpus_is_small() -> None:
     """Keep a megabyte of files at most."""
     assert 0 < sum(path.stat().st_size for path in _FOUND) < 1 << 20
+
+
+def test_other_tests_hear_warnings() -> None:
+    """Leave logging as it was."""
+    disagreement(_FOUND[0])
+    assert logging.getLogger().isEnabledFor(logging.WARNING)
 
 
 def test_good_files_agree(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.genesis.simulator import Genesis
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.schemas.errors import GsbError, UsageError
-from gpusimbench.schemas.treatment import Initial
+from gpusimbench.schemas.initial import Initial
 
 # Genesis leaves the picture on its ground planes open
 pytestmark = [

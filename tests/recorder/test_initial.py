@@ -18,8 +18,9 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import body_fields
+from gpusimbench.schemas.initial import MOST_SPREAD, Initial
 from gpusimbench.schemas.mirror import mirrored
-from gpusimbench.schemas.treatment import KINDS, MOST_SPREAD, Initial, Intervention
+from gpusimbench.schemas.treatment import KINDS, Intervention
 from tests.conftest import Command, call
 
 _SHORT = ("--n-env", "4", "--steps", "3", "--phases", "capture", "--initial", "random:0.1", "--seed", "7")

@@ -404,7 +404,7 @@ def test_what_is_no_model_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("<mujoco/>", "has no joint"),
+        ("<mujoco/>", "has no joint, so that nothing in it moves: give a body a <freejoint/>"),
         ("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "does not compile robot.xml"),
         (
             '<mujoco><worldbody><body name="a,b"><freejoint/><geom size=".1"/></body></worldbody></mujoco>',

@@ -333,6 +333,28 @@ def test_its_states(walker: tuple[Any, Any, Any, Any]) -> None:
         assert now[[0, 2]].tobytes() == was[[0, 2]].tobytes()
 
 
+@pytest.mark.parametrize(("solver", "lost"), [("xpbd", True), ("featherstone", False)])
+def test_what_recorded_states_do_not_have(tmp_path: Path, solver: str, lost: bool) -> None:
+    """Say of a solver whose bodies can be off their joints that recorded joints do not have that; a snapshot has it."""
+    link = '<joint axis="0 1 0"/><geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/>'
+    chain = f'<body>{link}<body pos=".3 0 0">{link}</body></body>'
+    scene = _scene(_written(tmp_path, chain))
+    simulator, description = engines.build("newton", scene, n_env=1, solver=solver)
+    assert any("which may be off their joints" in remark for remark in description.remarks) == lost
+    simulator.compile("capture")
+    simulator.states(30)
+    saved = simulator.snapshot()
+    after = simulator.states(1)
+    simulator.restore(saved)
+    assert [array.tobytes() for array in simulator.states(1)] == [array.tobytes() for array in after]
+    simulator.restore(saved)
+    simulator.set_state(simulator.state())
+    again = simulator.states(1)
+    simulator.close()
+    apart = max(float(np.abs(a - b).max()) for a, b in zip(after, again, strict=True))
+    assert apart > 1e-4 if lost else apart < 1e-5
+
+
 def test_energy() -> None:
     """Begin with MuJoCo's mass and energy, in every Gymnasium model whose bodies are imported as MuJoCo has them."""
     for name in ("ant", "hopper", "inverted_double_pendulum", "reacher", "swimmer", "walker2d"):

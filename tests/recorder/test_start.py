@@ -22,7 +22,7 @@ from gpusimbench.schemas import arrays
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import body_fields
-from gpusimbench.schemas.treatment import GIVEN
+from gpusimbench.schemas.initial import GIVEN
 from tests.conftest import call
 
 _SHORT = ("--runs", "1", "--n-env", "3", "--phases", "capture")

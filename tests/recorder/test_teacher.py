@@ -17,7 +17,7 @@ from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.recorder.trials.tosses import VARIABLE, Tosses, lowest, read_tosses
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.treatment import GIVEN
+from gpusimbench.schemas.initial import GIVEN
 from tests.conftest import Command, recorded
 
 _FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity")

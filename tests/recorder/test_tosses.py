@@ -18,8 +18,8 @@ from gpusimbench.recorder.scenes.cube_toss import EDGE, RATE
 from gpusimbench.recorder.trials.tosses import PUBLISHED, SYNTHETIC, VARIABLE, read_tosses, rotated
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.initial import GIVEN, Given
 from gpusimbench.schemas.tosses import NOTICE, TOSSES, TossSet
-from gpusimbench.schemas.treatment import GIVEN, Given
 from tests.conftest import Command
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "cube_toss"

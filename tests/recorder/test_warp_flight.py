@@ -18,7 +18,8 @@ from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.treatment import Initial, Keep
+from gpusimbench.schemas.initial import Initial
+from gpusimbench.schemas.treatment import Keep
 from tests.recorder.engines import needed
 
 needed("mujoco_warp")

@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.treatment import Given, Initial, initial_words, parse_initial
+from gpusimbench.schemas.initial import Given, Initial, initial_words, parse_initial
 
 _KINDS = st.one_of(hnp.floating_dtypes(endianness="<"), hnp.integer_dtypes(endianness="<"), hnp.boolean_dtypes())
 _ARRAYS = hnp.arrays(_KINDS, hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4))

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.registry import make_scene, scene_names
+from gpusimbench.schemas.initial import AXES
 from gpusimbench.schemas.mirror import can_mirror, mirrored, why_unlike_its_image
-from gpusimbench.schemas.treatment import AXES
 from tests.rotations import rotation
 
 SIGNS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "xy": (-1.0, -1.0, 1.0)}

@@ -6,17 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from gpusimbench.schemas.treatment import (
-    Given,
-    Initial,
-    Intervention,
-    Keep,
-    Vary,
-    drawn,
-    initial_words,
-    parse_initial,
-    snapshot_name,
-)
+from gpusimbench.schemas.initial import Given, Initial, drawn, initial_words, parse_initial
+from gpusimbench.schemas.treatment import Intervention, Keep, Vary, snapshot_name
 
 SHA = "0123456789abcdef" * 4
 

@@ -12,8 +12,8 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Revision
 from gpusimbench.evaluator.runs.physics.states import Walk
 from gpusimbench.evaluator.runs.physics.world import World
+from gpusimbench.schemas.initial import drawn
 from gpusimbench.schemas.text import ordinal
-from gpusimbench.schemas.treatment import drawn
 
 SHARE = 0.05
 """Of the smallest body, to which physics-2 limits tolerances of lengths: docs/physics.md says why."""

@@ -151,7 +151,7 @@ class Newton(Slotted):
             buffers=self._watch.buffers,
             counters=self._watch.counters,
             overflow_bits=self._watch.overflow_bits,
-            remarks=self._worlds.warnings,
+            remarks=self._worlds.remarks,
         )
 
     def _deviations(self) -> tuple[Deviation, ...]:

@@ -27,6 +27,12 @@ from gpusimbench.schemas.action_generator import Streams
 _STATE = ("body_q", "body_qd", "joint_q", "joint_qd")
 """Arrays of a newton.State that a step may read; forces are cleared before it."""
 
+_MEASURED = (
+    "states of joints are measured from the poses of bodies (newton.eval_ik), which may be off their joints: "
+    "environments that are set to a recorded state (--initial, --intervene set) have their bodies on them"
+)
+"""What is to be known of solvers that move bodies alone."""
+
 
 class ModelControls:
     """Controls of n_env worlds, on the device.
@@ -91,7 +97,7 @@ class Worlds:
     layout    where the fields of a recording are in its arrays
     control   newton.Control
     controls  what is written into it at each step; None where that is nothing
-    warnings  what the engine had to say of all this
+    remarks   what the engine had to say of all this, and what recorded states do not have
     parity    which of the two states is the present one: a step reads it and writes the other
     """
 
@@ -117,7 +123,9 @@ class Worlds:
             warnings.simplefilter("default")
             warnings.simplefilter("ignore", DeprecationWarning)  # of the engine against itself
             self._allocate(world, n_env, options, physics, sizes, mode, ordered)
-        self.warnings = tuple(dict.fromkeys(str(warning.message) for warning in caught))
+        self.remarks = tuple(dict.fromkeys(str(warning.message) for warning in caught))
+        if self._measured is not None:
+            self.remarks += (_MEASURED,)
         self._dt = dt / options.substeps
         self.parity = 0
         self.controls: ModelControls | None = None

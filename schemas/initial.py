@@ -1,0 +1,155 @@
+"""How the environments of a run begin: in states that are drawn for each, or in states that are given.
+
+It is a short text in a RunConfiguration. A probe asks whether results depend on what should not matter by runs that
+begin otherwise, have other parameters, or are intervened in (schemas.treatment).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+MOST_SPREAD = 3.0
+"""Of initial states [m/s or rad]."""
+
+GIVEN = "initial.npz"
+"""Attachment with the states that a run was given to begin with, as of schemas.arrays."""
+
+AXES = ("x", "y", "xy")
+"""Whose signs change in mirror images (schemas.mirror): in the planes x = 0 and y = 0, and by a half turn about z."""
+
+_NUMBER = r"[0-9.eE+-]+"
+_INITIAL = re.compile(rf"random:(?P<spread>{_NUMBER})(?:,(?P<kind>[a-z]+):(?P<value>[a-z0-9]{{1,8}}))?")
+_GIVEN = re.compile(r"(?:states|snapshot:(?P<step>\d{1,12})):(?P<sha256>[0-9a-f]{64})")
+
+
+def _axes(text: str) -> str:
+    if text not in AXES:
+        raise ValueError(text)
+    return text
+
+
+@dataclass(frozen=True)
+class InitialKind:
+    """A kind of drawn initial states that differ from the usual ones: "random:SPREAD,NAME:VALUE".
+
+    Beside this declaration, a kind is a field of Initial and what recorder.run.start makes of it. gsb-probe records it,
+    and a question in evaluator.probe.questions judges it.
+
+    name    of the field of Initial
+    value   what stands for VALUE in messages
+    does    in words
+    read    VALUE from its text; ValueError where it is none
+    probed  VALUE that gsb-probe takes, of so many environments; None: there is nothing to ask
+    """
+
+    name: str
+    value: str
+    does: str
+    read: Callable[[str], int | str]
+    probed: Callable[[int], int | str | None]
+
+    @property
+    def form(self) -> str:
+        """How initial states of this kind are written."""
+        return f"random:SPREAD,{self.name}:{self.value}"
+
+
+_DRAWN_STATES = (
+    InitialKind(
+        "shift", "K", "begins each environment as the one K slots further", int,
+        probed=lambda n_env: max(1, n_env // 3) if n_env > 1 else None,
+    ),
+    InitialKind(
+        "but", "E", "begins all environments but E in other states", int,
+        probed=lambda n_env: 0 if n_env > 1 else None,
+    ),
+    InitialKind(
+        "mirror", "AXES", f"begins all environments in mirror images ({', '.join(AXES)}: signs that change)", _axes,
+        probed=lambda n_env: "y",
+    ),
+)  # fmt: skip
+INITIAL_KINDS = {kind.name: kind for kind in _DRAWN_STATES}
+"""Kinds of initial states by name."""
+
+
+@dataclass(frozen=True)
+class Initial:
+    """Initial states that are drawn for each environment (recorder.run.start): "random:SPREAD", or of one of
+    INITIAL_KINDS.
+
+    spread  around the scene's first state [m/s or rad]
+    shift   environment e begins as environment e + shift does without it, modulo their number: ",shift:K"
+    but     all environments but this one begin otherwise than without it: ",but:E"; None: all as without it
+    mirror  all environments begin in the mirror images of these states, as of AXES: ",mirror:AXES"
+    """
+
+    spread: float
+    shift: int = 0
+    but: int | None = None
+    mirror: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> Initial:
+        """From the text; ValueError where it is none."""
+        found = _INITIAL.fullmatch(text)
+        if not found:
+            raise ValueError(text)
+        spread, name = float(found["spread"]), found["kind"]
+        if not 0 < spread <= MOST_SPREAD or (name and name not in INITIAL_KINDS):
+            raise ValueError(text)
+        return cls(spread).of_kind(name, INITIAL_KINDS[name].read(found["value"])) if name else cls(spread)
+
+    def of_kind(self, name: str, value: int | str) -> Initial:
+        """The same, of one of INITIAL_KINDS."""
+        changed: dict[str, Any] = {name: value}
+        return replace(self, **changed)
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind; empty where states are the usual ones."""
+        return next((name for name in INITIAL_KINDS if getattr(self, name) != getattr(Initial, name)), "")
+
+    def __str__(self) -> str:
+        return f"random:{self.spread!r}" + (f",{self.kind}:{getattr(self, self.kind)}" if self.kind else "")
+
+
+@dataclass(frozen=True)
+class Given:
+    """Initial states that were given: "states:SHA256" or "snapshot:STEP:SHA256". The recording has them attached.
+
+    sha256  of the attachment GIVEN [hex]
+    step    None: positions and velocities. Else an engine's whole state after that step of another run, which this run
+            continues: its first state is that of this step, and has its number
+    """
+
+    sha256: str
+    step: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Given:
+        """From the text; ValueError where it is none."""
+        found = _GIVEN.fullmatch(text)
+        if not found:
+            raise ValueError(text)
+        return cls(found["sha256"], None if found["step"] is None else int(found["step"]))
+
+    def __str__(self) -> str:
+        return f"{'states' if self.step is None else f'snapshot:{self.step}'}:{self.sha256}"
+
+
+def parse_initial(text: str) -> Initial | Given:
+    """How environments begin; ValueError where the text is nothing that is known."""
+    return Initial.parse(text) if text.startswith("random:") else Given.parse(text)
+
+
+def drawn(text: str) -> Initial | None:
+    """How initial states were drawn; None where they were not."""
+    return Initial.parse(text) if text.startswith("random:") else None
+
+
+def initial_words(text: str) -> str:
+    """How environments begin, or what actions they are given, short enough for a table."""
+    return re.sub(r"([0-9a-f]{12})[0-9a-f]{52}$", r"\1", text)
