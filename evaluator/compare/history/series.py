@@ -18,6 +18,7 @@ from gpusimbench.evaluator.runs.memory import with_peers
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 ORDER = "points are in the order of the earliest start time that their recordings have; labels are names of folders"
@@ -154,10 +155,7 @@ def series_of(points: Sequence[Point], work: Work) -> tuple[list[Series], list[s
     for index, point in enumerate(points):
         groups = group(point.runs)
         measured += sum(len(g.recordings) for g in groups if g.measured)
-        alike: dict[tuple[GroupKey, str], list[Group[Run]]] = {}
-        for one in groups:
-            if not one.measured:
-                alike.setdefault((anywhere(one), machine(one)), []).append(one)
+        alike = gathered(((anywhere(one), machine(one)), one) for one in groups if not one.measured)
         for (key, place), several in alike.items():
             if len(several) > 1:
                 notes.append(

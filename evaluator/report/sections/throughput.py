@@ -24,6 +24,7 @@ from gpusimbench.evaluator.results.cost_metrics import CAPTURE_OVERHEAD, FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.metric import Metric, Table
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 _HOW = (
@@ -123,9 +124,7 @@ def _below(result: GroupResult) -> Iterable[str]:
 
 def _between_clocks(source: Source, results: list[GroupResult]) -> Iterator[str]:
     """What was timed, once for all groups of simulators of which that is true, or for the groups that differ."""
-    of_text: dict[str, list[GroupResult]] = {}
-    for result in results:
-        of_text.setdefault(result.metrics[FPS.name].of(Throughput).timing_covers, []).append(result)
+    of_text = gathered((result.metrics[FPS.name].of(Throughput).timing_covers, result) for result in results)
     texts = Counter(name for of in of_text.values() for name in {r.group.key.simulator for r in of})
     for text, of in of_text.items():
         if text:
