@@ -16,7 +16,7 @@ from typing import Any
 
 from gpusimbench.schemas import FORMAT, checks
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, damage_in
 from gpusimbench.schemas.fields import StateField
 
 PROVENANCE = "provenance.json"
@@ -96,7 +96,7 @@ class Provenance:
     def from_json(cls, text: str | bytes, budget: checks.Budget | None = None) -> Provenance:
         """From the attachment; DamagedRecording where it cannot be read, or is more than the file's budget allows."""
         record = checks.load(PROVENANCE, text, budget)
-        try:
+        with damage_in(PROVENANCE):
             return cls(
                 run_id=checks.text(record, "run_id"),
                 created_utc=checks.text(record, "created_utc"),
@@ -108,8 +108,6 @@ class Provenance:
                 environment=checks.text_map(record, "environment"),
                 replay_of=ReplayOf.from_json(checks.mapping(record, "replay_of")) if "replay_of" in record else None,
             )
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{PROVENANCE}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -230,7 +228,7 @@ class Simulation(EngineFacts):
     def from_json(cls, text: str | bytes, budget: checks.Budget | None = None) -> Simulation:
         """From the attachment; DamagedRecording where it cannot be read, or is more than the file's budget allows."""
         record = checks.load(SIMULATION, text, budget)
-        try:
+        with damage_in(SIMULATION):
             switches, remarks = _apart(checks.mapping(record, "switches"))
             return cls(
                 version=checks.text(record, "version"),
@@ -257,8 +255,6 @@ class Simulation(EngineFacts):
                 ),
                 remarks=(*remarks, *checks.texts(record, "remarks")),
             )
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{SIMULATION}: {error}") from None
 
 
 def _apart(switches: dict[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:

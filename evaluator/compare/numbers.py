@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, judged, not_compared
+from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, either_way, judged, not_compared
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import Runs
@@ -194,31 +194,15 @@ class _Asked:
             test=f"{kind}; {_exchanged(found, blocks)}",
         )
         if found.low is None or found.high is None:
-            return self._judged(tested, falls=True, rises=True)
-        ends = [base * math.exp(end) if logs else base + end for end in (found.low, found.high)]
-        return self._judged(
+            return either_way(tested, falls=True, rises=True)
+        low, high = (base * math.exp(end) if logs else base + end for end in (found.low, found.high))
+        low_matters, high_matters = (matters(self.metric, base, end, self.settings) for end in (low, high))
+        return either_way(
             replace(tested, ci95=(math.exp(found.low), math.exp(found.high)) if logs else None, bounded=True),
-            falls=ends[0] < base and self._matters(base, ends[0]),
-            rises=ends[1] > base and self._matters(base, ends[1]),
-            beyond=(ends[0] > base and self._matters(base, ends[0]))
-            or (ends[1] < base and self._matters(base, ends[1])),
+            falls=low < base and low_matters,
+            rises=high > base and high_matters,
+            beyond=(low > base and low_matters) or (high < base and high_matters),
         )
-
-    def _matters(self, base: float, end: float) -> bool:
-        return matters(self.metric, base, end, self.settings)
-
-    def _judged(self, tested: Finding, *, falls: bool, rises: bool, beyond: bool = False) -> tuple[Finding, Finding]:
-        """What is found where p is significant, and where it is not.
-
-        falls, rises  whether the interval holds so large a change downwards, upwards
-        beyond        whether it holds nothing else
-        """
-        ways = [way for way, held in ((False, falls), (True, rises)) if held]
-        left = tuple(dict.fromkeys(judged(self.metric.direction, rises=way) for way in ways))
-        not_shown = replace(tested, change=Change.UNCLEAR if left else Change.WITHIN, left_open=left)
-        if beyond:
-            return replace(tested, change=left[0]), not_shown
-        return replace(tested, change=Change.NEAR if left else Change.SMALL, left_open=left), not_shown
 
 
 def _by_chance(order: Schedule) -> str:

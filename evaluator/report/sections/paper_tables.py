@@ -28,11 +28,10 @@ from gpusimbench.evaluator.report.sections.rows import facets, named
 from gpusimbench.evaluator.report.sections.scaling import beside_published
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results import paper_tables, published
-from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
 from gpusimbench.evaluator.results.cost_metrics import FPS, GPU_MEMORY
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT
 from gpusimbench.evaluator.results.faults import Faults, faults
-from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.group_metrics import SUFFIX, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.published import AtLargest, Variability
 from gpusimbench.evaluator.results.result import GroupResult
