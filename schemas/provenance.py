@@ -11,6 +11,7 @@ Readers ignore keys they do not know.
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import KW_ONLY, asdict, dataclass, field
 from typing import Any
 
@@ -84,6 +85,11 @@ class Provenance:
     software: dict[str, Any] = field(default_factory=dict)
     environment: dict[str, str] = field(default_factory=dict)
     replay_of: ReplayOf | None = None
+
+    @property
+    def dated(self) -> bool:
+        """Whether created_utc is a time as gsb-record writes it: such texts are in the order of their times."""
+        return re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", self.created_utc) is not None
 
     def to_json(self) -> str:
         """As the text of the attachment."""

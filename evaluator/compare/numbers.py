@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -23,7 +22,6 @@ from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.exchange import Shift, compare_means, least_p
 from gpusimbench.evaluator.statistics.jackknife import mean_of
 
-_UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _SHOWN = 24
 
 Values = NDArray[np.float64]
@@ -89,9 +87,8 @@ def schedule(base: Sequence[Run], head: Sequence[Run]) -> Schedule:
     """The order of some runs; those of one second are in the order of their run ids, which says nothing of the side."""
     tagged = [(run, False) for run in base] + [(run, True) for run in head]
     tagged.sort(key=lambda one: (one[0].provenance.created_utc, one[0].provenance.run_id))
-    times = [run.provenance.created_utc for run, _ in tagged]
-    n_time = len(set(times))
-    known = all(map(_UTC.fullmatch, times)) and n_time > 1 and 2 * n_time >= len(times)
+    n_time = len({run.provenance.created_utc for run, _ in tagged})
+    known = all(run.provenance.dated for run, _ in tagged) and n_time > 1 and 2 * n_time >= len(tagged)
     sides = tuple(side for _, side in tagged)
     return Schedule(tuple(run for run, _ in tagged), sides, neighbours(sides), known)
 

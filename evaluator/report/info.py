@@ -48,7 +48,7 @@ _FIRST = (
 
 def info_document(found: Inspection, *, every: bool = False) -> Document:
     """What a file is: who made it, of what, where, and what is in it; with `every`, all that it says of itself."""
-    said = gathered((label, _short(text)) for label, text in _entries(found))
+    said = gathered((label, cut(" ".join(text.split()), _LONGEST)) for label, text in _entries(found))
     shown = [name for name in said if every or name in _FIRST or (name == "overflow" and found.overflowed)]
     pairs = tuple((name, Cell(said[name][0], notes=tuple(said[name][1:]), tone=_tone(name, found))) for name in shown)
     blocks: list[Block] = [Facts(pairs)]
@@ -90,10 +90,6 @@ def _file(value: Any) -> Any:
     if isinstance(value, dict) and any(map(is_dataclass, value.values())):
         return {name: _file(item) for name, item in value.items()}
     return plain(value)
-
-
-def _short(text: str) -> str:
-    return cut(" ".join(text.split()), _LONGEST)
 
 
 def _entries(found: Inspection) -> Iterator[tuple[str, str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,8 +21,6 @@ from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 ORDER = "points are in the order of the earliest start time that their recordings have; labels are names of folders"
-
-_UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 
 
 @dataclass(frozen=True)
@@ -93,7 +90,7 @@ def _is_point(inside: Path) -> bool:
 def _point(label: str, files: Sequence[Run | Unreadable]) -> Point:
     failures = [one for one in files if isinstance(one, Unreadable)]
     distinct, notes = without_copies([one for one in files if isinstance(one, Run)], failures)
-    times = [run.provenance.created_utc for run in distinct if _UTC.fullmatch(run.provenance.created_utc)]
+    times = [run.provenance.created_utc for run in distinct if run.provenance.dated]
     return Point(label, min(times, default=""), tuple(with_peers(distinct)), tuple(failures), tuple(notes))
 
 

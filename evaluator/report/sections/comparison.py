@@ -32,7 +32,7 @@ from gpusimbench.evaluator.render.figures.axis import tick_label
 from gpusimbench.evaluator.render.figures.dot_plot import Dot, dot_plot, is_logarithmic
 from gpusimbench.evaluator.render.numbers import figure, interval
 from gpusimbench.evaluator.report import timed, words
-from gpusimbench.evaluator.report.sections.rows import Reasons, absences, facets, footnotes, lines_of
+from gpusimbench.evaluator.report.sections.rows import Reasons, absences, facets, footnotes, lines_of, to_compare
 from gpusimbench.evaluator.report.sections.scaling import steps_label
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import for_probe
@@ -207,8 +207,7 @@ def section(source: Source) -> Section | None:
     notes = timed.remarks((c.speed for c in contenders if c.speed), named=lambda r: called[r.label])
     notes += footnotes(source, (r for c in contenders if (r := c.group or c.speed)))
     if notes:
-        title, listed = "What must be known to compare them", Items(tuple(map(Item, notes)))
-        blocks.append(Section("comparison-remarks", title, (listed,), plural(len(notes), "note"), folded=True))
+        blocks.append(to_compare("comparison", notes))
     return Section(
         "comparison", "Simulators compared, with intervals", tuple(blocks), _summary(contenders), folded=True
     )
@@ -297,15 +296,11 @@ def guidelines(source: Source) -> Section | None:
         "guidelines",
         "The best simulator for each need",
         ["need, and the rule", "recommended, and the next best", "best first", "not recommended"],
-        [(_need(one), _pick(one), _ranking(one), _others(one)) for one in found],
+        [(Cell(one.need, notes=(one.rule,)), _pick(one), _ranking(one), _others(one)) for one in found],
     )
     picked = sum(bool(one.pick) for one in found)
     said = f"a simulator is named for {picked or 'none'} of {plural(len(found), 'need')}"
     return Section("guidelines", "The best simulator for each need", (Text(_PICKED), shown), said, folded=True)
-
-
-def _need(one: Guideline) -> Cell:
-    return Cell(one.need, notes=(one.rule,))
 
 
 def _pick(one: Guideline) -> Cell:

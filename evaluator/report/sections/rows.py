@@ -23,6 +23,7 @@ from gpusimbench.evaluator.render.document import (
     Section,
     Table,
     Tone,
+    items,
     key_of,
 )
 from gpusimbench.evaluator.render.figures.matrix import letter
@@ -142,6 +143,12 @@ def lines_of(said: Sequence[tuple[str, str]]) -> Items | None:
         else:
             found.append(Item(f"{plural(len(labels), 'group')}: {sentence}", items=tuple(map(Item, labels))))
     return Items(tuple(found)) if found else None
+
+
+def to_compare(section: str, notes: Sequence[Item | str]) -> Section:
+    """The folded notes of a section on what its numbers hang on beside the simulator."""
+    title, said = "What must be known to compare them", plural(len(notes), "note")
+    return Section(f"{section}-remarks", title, (items(*notes),), said, folded=True)
 
 
 def absences(reasons: Mapping[str, Sequence[str]]) -> str:

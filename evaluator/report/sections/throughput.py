@@ -17,6 +17,7 @@ from gpusimbench.evaluator.report.sections.rows import (
     lines_of,
     of_groups,
     ordered,
+    to_compare,
     without,
 )
 from gpusimbench.evaluator.report.source import Source
@@ -82,8 +83,7 @@ def _speeds(source: Source, results: list[GroupResult]) -> Iterator[Block]:
     if first:
         yield items(*first)
     if rest := [one for one in dict.fromkeys(lines) if timed.NOT_COMPARABLE not in one]:
-        title = "What must be known to compare them"
-        yield Section("throughput-remarks", title, (items(*rest),), plural(len(rest), "note"), folded=True)
+        yield to_compare("throughput", rest)
 
 
 def _costs(source: Source, results: list[GroupResult]) -> Iterator[Block]:
