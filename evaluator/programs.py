@@ -9,11 +9,10 @@ from pathlib import Path
 
 from gpusimbench.evaluator.compute.recorder import ProgramRun
 from gpusimbench.evaluator.diff import words
-from gpusimbench.evaluator.diff.brief import brief
+from gpusimbench.evaluator.diff.brief import brief, verdict_of
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference, DiffVerdict
 from gpusimbench.evaluator.diff.sections import remarks
-from gpusimbench.evaluator.diff.verdict import verdict_of
 from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording

@@ -14,6 +14,8 @@ GsbError                  1  something failed
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 
 
@@ -67,6 +69,15 @@ class FailedCrc(DamagedRecording):
         "the file was changed or damaged after it was written: fetch it again from whoever recorded it; gsb-check FILE "
         "says what can still be read"
     )
+
+
+@contextmanager
+def damage_in(place: object) -> Iterator[None]:
+    """Say before the message of a DamagedRecording in which file, or part of a file, the damage is."""
+    try:
+        yield
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{place}: {error}") from None
 
 
 class Unreachable(RecordingError):

@@ -11,12 +11,13 @@ Readers ignore keys they do not know.
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import KW_ONLY, asdict, dataclass, field
 from typing import Any
 
 from gpusimbench.schemas import FORMAT, checks
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, damage_in
 from gpusimbench.schemas.fields import StateField
 
 PROVENANCE = "provenance.json"
@@ -85,6 +86,11 @@ class Provenance:
     environment: dict[str, str] = field(default_factory=dict)
     replay_of: ReplayOf | None = None
 
+    @property
+    def dated(self) -> bool:
+        """Whether created_utc is a time as gsb-record writes it: such texts are in the order of their times."""
+        return re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", self.created_utc) is not None
+
     def to_json(self) -> str:
         """As the text of the attachment."""
         record = {**asdict(self), "configuration": self.configuration.to_json(), "format": FORMAT}
@@ -96,7 +102,7 @@ class Provenance:
     def from_json(cls, text: str | bytes, budget: checks.Budget | None = None) -> Provenance:
         """From the attachment; DamagedRecording where it cannot be read, or is more than the file's budget allows."""
         record = checks.load(PROVENANCE, text, budget)
-        try:
+        with damage_in(PROVENANCE):
             return cls(
                 run_id=checks.text(record, "run_id"),
                 created_utc=checks.text(record, "created_utc"),
@@ -108,8 +114,6 @@ class Provenance:
                 environment=checks.text_map(record, "environment"),
                 replay_of=ReplayOf.from_json(checks.mapping(record, "replay_of")) if "replay_of" in record else None,
             )
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{PROVENANCE}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -230,7 +234,7 @@ class Simulation(EngineFacts):
     def from_json(cls, text: str | bytes, budget: checks.Budget | None = None) -> Simulation:
         """From the attachment; DamagedRecording where it cannot be read, or is more than the file's budget allows."""
         record = checks.load(SIMULATION, text, budget)
-        try:
+        with damage_in(SIMULATION):
             switches, remarks = _apart(checks.mapping(record, "switches"))
             return cls(
                 version=checks.text(record, "version"),
@@ -257,8 +261,6 @@ class Simulation(EngineFacts):
                 ),
                 remarks=(*remarks, *checks.texts(record, "remarks")),
             )
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{SIMULATION}: {error}") from None
 
 
 def _apart(switches: dict[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:

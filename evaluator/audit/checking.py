@@ -10,6 +10,7 @@ from gpusimbench.evaluator.check.rules.findings import Unchecked, check
 from gpusimbench.evaluator.check.rules.rule import Severity, load_rules
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.commands.progress import each, sizes
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.location import Place
 
 RULES = "integrity-1"
@@ -53,10 +54,9 @@ def check_files(paths: Sequence[Place]) -> Check:
 
 def _unasked(unchecked: Sequence[Unchecked], damaged: Set[Place]) -> list[tuple[Place, str]]:
     # of files that nothing else is known of, rules by what keeps them from being asked
-    rules: dict[tuple[Place, str], list[str]] = {}
-    for u in unchecked:
-        if u.rule.level is Severity.error and u.file not in damaged:
-            rules.setdefault((u.file, u.reason), []).append(u.rule.id)
+    rules = gathered(
+        ((u.file, u.reason), u.rule.id) for u in unchecked if u.rule.level is Severity.error and u.file not in damaged
+    )
     return [(path, f"{', '.join(ids)} cannot be checked: {reason}") for (path, reason), ids in rules.items()]
 
 
@@ -72,7 +72,4 @@ def _without_copies(recordings: Sequence[Recording]) -> tuple[tuple[Recording, .
 
 
 def _by_file(findings: Sequence[tuple[Place, str]]) -> dict[Place, tuple[str, ...]]:
-    found: dict[Place, list[str]] = {}
-    for path, sentence in findings:
-        found.setdefault(path, []).append(sentence)
-    return {path: tuple(dict.fromkeys(sentences)) for path, sentences in found.items()}
+    return {path: tuple(dict.fromkeys(sentences)) for path, sentences in gathered(findings).items()}

@@ -9,8 +9,8 @@ from gpusimbench.evaluator.audit.audit import Audit, Outcome
 from gpusimbench.evaluator.audit.checking import RULES, Check
 from gpusimbench.evaluator.audit.verdict import AuditLevel, Rung
 from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff.brief import apart, equal_before, gap_before, place_of
 from gpusimbench.evaluator.diff.result import Difference, Divergence
-from gpusimbench.evaluator.diff.verdict import apart, equal_before, gap_before, place_of
 from gpusimbench.evaluator.diff.words import differ
 from gpusimbench.evaluator.json_values import document_of, dump, entry, picked
 from gpusimbench.evaluator.read.recording import Recording

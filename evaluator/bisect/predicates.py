@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gpusimbench.evaluator.diff.brief import apart, equal_before, gap_before, place_of
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference
-from gpusimbench.evaluator.diff.verdict import apart, equal_before, gap_before, place_of
 from gpusimbench.evaluator.diff.words import amount
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording

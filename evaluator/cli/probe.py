@@ -125,10 +125,9 @@ def parser() -> Parser:
 def run(arguments: argparse.Namespace) -> int:
     """Record what is missing, compare and print; returns the exit code."""
     from gpusimbench.evaluator.probe.finding import Answer
-    from gpusimbench.evaluator.probe.json import dump_probe
     from gpusimbench.evaluator.probe.questions import QUESTIONS, probed, why_nothing_asked
     from gpusimbench.evaluator.read.addresses import expand
-    from gpusimbench.evaluator.report.evidence_json import family_record
+    from gpusimbench.evaluator.report.json import dump_probe
     from gpusimbench.evaluator.report.sections.probed import probe_document
 
     _check(arguments)
@@ -140,7 +139,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise NothingComparable("; ".join(problems) or why_nothing_asked(recordings))
     answer(
         arguments.json,
-        lambda: dump_probe(asked, [family_record(family) for family in prices]),
+        lambda: dump_probe(asked, prices),
         lambda: probe_document(asked, prices, every=arguments.all),
     )
     if problems:

@@ -255,8 +255,7 @@ def _card(arguments: argparse.Namespace) -> int:
         parse_author,
     )
     from gpusimbench.evaluator.share.dataset.contents import BROKEN, DAMAGED
-    from gpusimbench.evaluator.share.dataset.publish import publish
-    from gpusimbench.evaluator.share.dataset.text import published_lines, warnings_of
+    from gpusimbench.evaluator.share.dataset.publish import publish, published_lines, warnings_of
 
     check_sample_time(arguments.sample_time)
     licence = check_licence(arguments.licence)
@@ -299,8 +298,7 @@ def _about(path: Path | None) -> str:
 
 
 def _verify(arguments: argparse.Namespace) -> int:
-    from gpusimbench.evaluator.share.dataset.text import dump_verification, verification_lines
-    from gpusimbench.evaluator.share.dataset.verify import verify_set
+    from gpusimbench.evaluator.share.dataset.verify import dump_verification, verification_lines, verify_set
 
     check_target(arguments.json)
     if not 0 <= arguments.tolerance < 1:

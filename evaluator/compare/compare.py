@@ -40,6 +40,7 @@ from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.families import able_to_reject, holm
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.location import Place
 
 
@@ -343,10 +344,9 @@ def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[
 
 def _without_power(findings: Sequence[Finding], alpha: float) -> list[str]:
     """Which comparisons could have shown nothing, whatever the runs had been."""
-    found: dict[tuple[str, float], list[str]] = {}
-    for f in findings:
-        if f.least_p is not None and f.p_adjusted is None:
-            found.setdefault((f.tested_on, f.least_p), []).append(f.title)
+    found = gathered(
+        ((f.tested_on, f.least_p), f.title) for f in findings if f.least_p is not None and f.p_adjusted is None
+    )
     return [
         f"too few {units}{'' if least > alpha else ' for so many comparisons at once'} to show any change of "
         f"{', '.join(titles)}, however large (smallest p possible: {least:.2g})"

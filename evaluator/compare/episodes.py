@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, judged, not_compared
+from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, either_way, judged, not_compared
 from gpusimbench.evaluator.episodes.comparison import difference_of, evenly_repeated, pairs_of
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS
 from gpusimbench.evaluator.episodes.side import Episodes, choose, read_side
@@ -125,9 +125,4 @@ class _Asked:
             test=f"permutation test, {found.test}; interval of head - base by resampling environments",
         )  # fmt: skip
         low, high = ends or (-math.inf, math.inf)
-        ways = [way for way, held in ((False, low < -least), (True, high > least)) if held]
-        left = tuple(dict.fromkeys(judged(self.finding.direction, rises=way) for way in ways))
-        not_shown = replace(tested, change=Change.UNCLEAR if left else Change.WITHIN, left_open=left)
-        if low > least or high < -least:
-            return replace(tested, change=left[0]), not_shown
-        return replace(tested, change=Change.NEAR if left else Change.SMALL, left_open=left), not_shown
+        return either_way(tested, falls=low < -least, rises=high > least, beyond=low > least or high < -least)

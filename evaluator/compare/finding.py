@@ -175,6 +175,20 @@ def not_compared(axis: Axis, name: str, title: str, why: str, *, applies: bool =
     return Finding(axis, name, title, Change.NOT_COMPARED, missing=why, applies=applies)
 
 
+def either_way(tested: Finding, *, falls: bool, rises: bool, beyond: bool = False) -> tuple[Finding, Finding]:
+    """What is found where p is significant, and where it is not.
+
+    falls, rises  whether the interval holds so large a change downwards, upwards
+    beyond        whether it holds nothing else
+    """
+    ways = [way for way, held in ((False, falls), (True, rises)) if held]
+    left = tuple(dict.fromkeys(judged(tested.direction, rises=way) for way in ways))
+    not_shown = replace(tested, change=Change.UNCLEAR if left else Change.WITHIN, left_open=left)
+    if beyond:
+        return replace(tested, change=left[0]), not_shown
+    return replace(tested, change=Change.NEAR if left else Change.SMALL, left_open=left), not_shown
+
+
 @dataclass(frozen=True)
 class Counted:
     """Whether the shares of the two sides differ, by Fisher's exact test.

@@ -20,6 +20,7 @@ from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import TELLING
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import cut, few, first, plural
 from gpusimbench.schemas.vector import NO_SEED, RESET_KEYS, RESET_SEEDS
 
@@ -228,9 +229,7 @@ def _short(value: Any) -> str:
 
 def pooled(groups: Sequence[Group[Run]]) -> list[Group[Run]]:
     """Groups of a task that differ in nothing but seeds as one, in the order of the seeds; others as they are."""
-    found: dict[GroupKey, list[Group[Run]]] = {}
-    for group in groups:
-        found.setdefault(without_seeds(group.key, group), []).append(group)
+    found = gathered((without_seeds(group.key, group), group) for group in groups)
     return [_joined(alike) for alike in found.values()]
 
 
@@ -272,9 +271,7 @@ def seed_by_seed(
             not_compared(axis, one.name, one.title, "base and head have no seed in common", applies=one.applies)
             for one in compared(base, head)
         ]
-    by_name: dict[str, list[Finding]] = {}
-    for one in chain.from_iterable(of_seed):
-        by_name.setdefault(one.name, []).append(one)
+    by_name = gathered((one.name, one) for one in chain.from_iterable(of_seed))
     return [_worst(findings) for findings in by_name.values()]
 
 

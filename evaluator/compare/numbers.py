@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -11,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, judged, not_compared
+from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, either_way, judged, not_compared
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import Runs
@@ -23,7 +22,6 @@ from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.exchange import Shift, compare_means, least_p
 from gpusimbench.evaluator.statistics.jackknife import mean_of
 
-_UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _SHOWN = 24
 
 Values = NDArray[np.float64]
@@ -90,9 +88,8 @@ def schedule(base: Sequence[Run], head: Sequence[Run]) -> Schedule:
     """The order of some runs; those of one second are in the order of their run ids, which says nothing of the side."""
     tagged = [(run, False) for run in base] + [(run, True) for run in head]
     tagged.sort(key=lambda one: (one[0].provenance.created_utc, one[0].provenance.run_id))
-    times = [run.provenance.created_utc for run, _ in tagged]
-    n_time = len(set(times))
-    known = all(map(_UTC.fullmatch, times)) and n_time > 1 and 2 * n_time >= len(times)
+    n_time = len({run.provenance.created_utc for run, _ in tagged})
+    known = all(run.provenance.dated for run, _ in tagged) and n_time > 1 and 2 * n_time >= len(tagged)
     sides = tuple(side for _, side in tagged)
     return Schedule(tuple(run for run, _ in tagged), sides, neighbours(sides), known)
 
@@ -195,31 +192,15 @@ class _Asked:
             test=f"{kind}; {_exchanged(found, blocks)}",
         )
         if found.low is None or found.high is None:
-            return self._judged(tested, falls=True, rises=True)
-        ends = [base * math.exp(end) if logs else base + end for end in (found.low, found.high)]
-        return self._judged(
+            return either_way(tested, falls=True, rises=True)
+        low, high = (base * math.exp(end) if logs else base + end for end in (found.low, found.high))
+        low_matters, high_matters = (matters(self.metric, base, end, self.settings) for end in (low, high))
+        return either_way(
             replace(tested, ci95=(math.exp(found.low), math.exp(found.high)) if logs else None, bounded=True),
-            falls=ends[0] < base and self._matters(base, ends[0]),
-            rises=ends[1] > base and self._matters(base, ends[1]),
-            beyond=(ends[0] > base and self._matters(base, ends[0]))
-            or (ends[1] < base and self._matters(base, ends[1])),
+            falls=low < base and low_matters,
+            rises=high > base and high_matters,
+            beyond=(low > base and low_matters) or (high < base and high_matters),
         )
-
-    def _matters(self, base: float, end: float) -> bool:
-        return matters(self.metric, base, end, self.settings)
-
-    def _judged(self, tested: Finding, *, falls: bool, rises: bool, beyond: bool = False) -> tuple[Finding, Finding]:
-        """What is found where p is significant, and where it is not.
-
-        falls, rises  whether the interval holds so large a change downwards, upwards
-        beyond        whether it holds nothing else
-        """
-        ways = [way for way, held in ((False, falls), (True, rises)) if held]
-        left = tuple(dict.fromkeys(judged(self.metric.direction, rises=way) for way in ways))
-        not_shown = replace(tested, change=Change.UNCLEAR if left else Change.WITHIN, left_open=left)
-        if beyond:
-            return replace(tested, change=left[0]), not_shown
-        return replace(tested, change=Change.NEAR if left else Change.SMALL, left_open=left), not_shown
 
 
 def _by_chance(order: Schedule) -> str:

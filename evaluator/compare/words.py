@@ -10,6 +10,7 @@ from gpusimbench.evaluator.compare.finding import Change, Finding
 from gpusimbench.evaluator.episodes.document import difference, number
 from gpusimbench.evaluator.render.numbers import NONE, bounds, figure, scaled
 from gpusimbench.evaluator.results.metric import Axis, Direction
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 TITLES = ("", "base", "head", "head / base", "95 % interval", "p", "verdict")
@@ -141,19 +142,15 @@ def tests(compared: ComparedConfiguration) -> list[str]:
 def remarks(compared: ComparedConfiguration) -> list[str]:
     """What a reader must see beside the numbers: notes of findings, and what was not compared."""
     lines = [f"{f.title}: {f.note}" for f in compared.findings if f.note]
-    reasons: dict[str, list[str]] = {}
-    for f in compared.findings:
-        if f.change is Change.NOT_COMPARED:
-            reasons.setdefault(f.missing, []).append(f.title)
+    reasons = gathered((f.missing, f.title) for f in compared.findings if f.change is Change.NOT_COMPARED)
     return [*lines, *(f"not compared: {', '.join(titles)}: {why}" for why, titles in reasons.items()), *compared.notes]
 
 
 def undecided(compared: ComparedConfiguration, result: Result) -> list[str]:
     """What neither fails nor passes its gate, and why; what shares a reason shares a line."""
-    reasons: dict[str, list[str]] = {}
-    for finding in compared.findings:
-        if why := finding.undecided(result.settings):
-            reasons.setdefault(why, []).append(finding.title)
+    reasons = gathered(
+        (why, finding.title) for finding in compared.findings if (why := finding.undecided(result.settings))
+    )
     return [f"{', '.join(titles)}: {why}" for why, titles in reasons.items()]
 
 

@@ -11,6 +11,6 @@
     program    which part of a program differs first, of parts in program_parts
     arrays     arrays that no file holds, for gpusimbench.testing and gsb-replay
 
-What is said of a Difference: verdict is the first line, brief what stands below it, sections the rest and the
-JSON, remarks what was not compared, figure the picture; words has numbers, names and parts of programs in text.
+What is said of a Difference: brief is the verdict and what stands below it, sections the rest and the JSON, remarks
+what was not compared, figure the picture; words has numbers, names and parts of programs in text.
 """

@@ -92,7 +92,7 @@ def _compare(a: Selection, b: Selection) -> Difference:
         bitwise=bitwise,
         bit_identical=bitwise and first is None and (program is None or program.first is None),
         same_up_to_env_order=same_envs,
-        same_up_to_body_order=_body_order(bodies),
+        same_up_to_body_order=None if bodies is None else bodies.in_env or bodies.any_env,
         bodies_of_other_envs=bodies is not None and bodies.any_env and not bodies.in_env,
         first=first,
         max_ulp=max((f.max_ulp for f in walked.fields if f.max_ulp is not None), default=None),
@@ -105,10 +105,6 @@ def _compare(a: Selection, b: Selection) -> Difference:
         program=program,
         described=a.recording.simulation is not None and b.recording.simulation is not None,
     )
-
-
-def _body_order(bodies: BodyOrder | None) -> bool | None:
-    return None if bodies is None else bodies.in_env or bodies.any_env
 
 
 def _same_up_to_order(a: Selection, b: Selection, agreement: Agreement, timed: Agreement | None) -> bool | None:

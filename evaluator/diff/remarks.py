@@ -9,8 +9,9 @@ from gpusimbench.evaluator.diff.common import CommonField, Selection
 from gpusimbench.evaluator.diff.program_parts import ProgramDifference
 from gpusimbench.evaluator.diff.result import Basis
 from gpusimbench.evaluator.diff.splits import Agreement, CommonHashes
-from gpusimbench.evaluator.diff.states import CommonStates, Ends
+from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.evaluator.metrics.identity import unchanging
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 Fields = tuple[CommonField, ...]
@@ -61,9 +62,7 @@ def uncommon(a: Selection, b: Selection, states: CommonStates) -> list[str]:
     if n_a != n_b and len(a.envs) == len(b.envs) > 1:
         found.append(f"environments from {min(n_a, n_b)} on: a has {n_a}, b has {n_b}")
     for number, name in enumerate("ab"):
-        fields: dict[Ends, list[str]] = {}
-        for index, how in enumerate(states.fields):
-            fields.setdefault(states.ends(index)[number], []).append(how.field.name)
+        fields = gathered((states.ends(index)[number], how.field.name) for index, how in enumerate(states.fields))
         for ends, names in fields.items():
             if ends.own is None or ends.own == ends.common:
                 continue

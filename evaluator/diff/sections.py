@@ -6,9 +6,8 @@ import math
 
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.arrays import ArrayDivergence, ArraysDifference
-from gpusimbench.evaluator.diff.brief import Labels, brief, classes_of, reached
+from gpusimbench.evaluator.diff.brief import Labels, apart, both_of, brief, classes_of, place_of, reached, verdict_of
 from gpusimbench.evaluator.diff.result import Basis, Difference, FieldDifference, Growth
-from gpusimbench.evaluator.diff.verdict import apart, both_of, place_of, verdict_of
 from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (

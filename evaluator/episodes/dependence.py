@@ -18,6 +18,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.cases import APART, PERMUTATIONS, in_proportion
 from gpusimbench.evaluator.statistics.families import holm
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.gathering import gathered
 
 LEVEL = 0.05
 
@@ -86,9 +87,7 @@ class Across:
 
 def grouped(recordings: Sequence[Recording], key: str) -> dict[Any, list[Recording]]:
     """Recordings by their value of a setting, in its order; UsageError where there is one value alone."""
-    found: dict[Any, list[Recording]] = {}
-    for recording in recordings:
-        found.setdefault(KEYS[key](recording), []).append(recording)
+    found = gathered((KEYS[key](recording), recording) for recording in recordings)
     if len(found) < 2:
         raise UsageError(f"all recordings have one {key}, {next(iter(found))}: give recordings of two or more")
     return dict(sorted(found.items()))

@@ -11,7 +11,7 @@ from gpusimbench.evaluator.imports.motion import Items, Poses, Responses, poses,
 from gpusimbench.evaluator.imports.parameters import ComparedKind, ParameterDifference, compare
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
+from gpusimbench.schemas.errors import NothingComparable, damage_in
 from gpusimbench.schemas.imported import DROP, IMPORTED, TRIALS, Drop, Imported, Trials
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import engine_name
@@ -154,12 +154,10 @@ def _audit(recording: Recording, reference: Recording) -> Audit:
         return refused(c.simulator, c.option_words, why)
     ours = reference.attachment(IMPORTED)
     assert ours is not None
-    try:
+    with damage_in(f"{recording.path} or {reference.path}"):
         kinds = compare(Imported.decoded(ours), Imported.decoded(held))
         moved: tuple[Poses | Missing, Responses | Missing] = _moved(recording, reference)
         landed = _landed(recording, reference)
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path} or {reference.path}: {error}") from None
     return Audit(
         simulator=engine_name(c.simulator, simulation),
         version=simulation.version if simulation else "",

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import GroupKey, key_of
 from gpusimbench.schemas.configuration import TELLING, RunConfiguration
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.initial import Given, Initial, drawn, initial_words, parse_initial
 from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.treatment import Intervention, Vary, snapshot_name
@@ -78,9 +79,7 @@ def arms_of(recordings: Sequence[Recording]) -> list[Arms]:
             seen.add(recording.provenance.run_id)
             found.setdefault(_common(recording), []).append(recording)
     made = [_arms(key, alike) for key, alike in _without_followers(found).items()]
-    elsewhere: dict[GroupKey, list[Arms]] = {}
-    for arms in made:
-        elsewhere.setdefault(_anywhere(arms.key), []).append(arms)
+    elsewhere = gathered((_anywhere(arms.key), arms) for arms in made)
     return [
         replace(arms, others=tuple(o for o in elsewhere[_anywhere(arms.key)] if o.key.device != arms.key.device))
         for arms in made
@@ -114,9 +113,7 @@ def _without_followers(found: dict[GroupKey, list[Recording]]) -> dict[GroupKey,
     Such a switch has one value for each number of environments. Genesis, for one, chooses how it divides its work
     (`para_level`) by that number: whether the result depends on the choice is what the probe asks.
     """
-    families: dict[GroupKey, list[GroupKey]] = {}
-    for key in found:
-        families.setdefault(replace(key, switches=""), []).append(key)
+    families = gathered((replace(key, switches=""), key) for key in found)
     joined: dict[GroupKey, list[Recording]] = {}
     for keys in families.values():
         values: dict[str, dict[int, set[str]]] = {}
@@ -143,9 +140,7 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
     same = [r for r, initial in varied.items() if not initial.kind]
     usual_size = {r: initial for r, initial in varied.items() if r.configuration.n_env == n_env}
     treated = [r for r in same if r in usual_size and not r.configuration.snapshots]
-    by_treatment: dict[str, list[Recording]] = {}
-    for recording in good:
-        by_treatment.setdefault(_treatment(recording), []).append(recording)
+    by_treatment = gathered((_treatment(recording), recording) for recording in good)
     return Arms(
         key,
         n_env,

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.text import plural
 
@@ -36,9 +37,7 @@ class ProbeFolder:
         """
         for plan in plans:
             self._record_arms(plan)
-        together: dict[tuple[str, str, tuple[str, ...]], list[Plan]] = {}
-        for plan in plans:
-            together.setdefault((plan.simulator, plan.scene, plan.options), []).append(plan)
+        together = gathered(((plan.simulator, plan.scene, plan.options), plan) for plan in plans)
         for levels in together.values():
             self._clock(levels)
         return [recording.path for plan in plans for recording in self._of(plan)]

@@ -15,7 +15,7 @@ from gpusimbench.schemas.action_generator import GENERATOR, Generator, read_gene
 from gpusimbench.schemas.blocks import BlockHeader, decode_action, raw_action
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.digest import ContentDigest
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import damage_in
 from gpusimbench.schemas.fields import ENV, StateField
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.treatment import Intervention, alike
@@ -64,10 +64,8 @@ class ActionContents:
             yield header, found
 
     def _named(self, topic: str, read: Callable[[], _T]) -> _T:
-        try:
+        with damage_in(f"{self._container.path}: {topic}"):
             return read()
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{self._container.path}: {topic}: {error}") from None
 
 
 def apart_by_design(actions: tuple[str, ...], fields: tuple[StateField, ...], configuration: RunConfiguration) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import message_class
@@ -72,9 +73,7 @@ def columns(
         [], np.zeros(len(contents), dtype=np.int64),
         {name: np.zeros(len(contents), dtype=np.uint64) for name, _ in types.values()},
     )  # fmt: skip
-    by_size: dict[int, list[int]] = {}
-    for place, content in enumerate(contents):
-        by_size.setdefault(len(content), []).append(place)
+    by_size = gathered((len(content), place) for place, content in enumerate(contents))
     for size, places in by_size.items():
         left = np.array(places)
         if size and len(places) >= _FEW:

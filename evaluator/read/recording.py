@@ -44,7 +44,7 @@ from gpusimbench.evaluator.read.streams import (
 from gpusimbench.schemas import checks, topics
 from gpusimbench.schemas.commands.progress import moved
 from gpusimbench.schemas.digest import ContentDigest, content_hash
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, damage_in
 from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.mcap.declarations import Channel
 from gpusimbench.schemas.mcap.reader import Container
@@ -205,28 +205,22 @@ class Recording(Described):
         text = self._container.attachment(SCENE)
         if text is None:
             return {}
-        try:
+        with damage_in(self.path):
             return checks.load(SCENE, text, self._json)
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{self.path}: {error}") from None
 
     @cached_property
     def varied(self) -> dict[str, Factors]:
         """The factors of parameters that differ from environment to environment, by quantity ("mass", ...); empty where
         none do."""
-        try:
+        with damage_in(self.path):
             return factors_of(self.configuration, self.attachment(VARIED))
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{self.path}: {error}") from None
 
     @cached_property
     def geometry(self) -> dict[str, Any] | None:
         """geometry.json as it is, of a model file; None where there is none."""
         text = self._container.attachment(GEOMETRY)
-        try:
+        with damage_in(self.path):
             return checks.load(GEOMETRY, text, self._json) if text is not None else None
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{self.path}: {error}") from None
 
     @cached_property
     def look(self) -> Look:
@@ -326,10 +320,8 @@ class Recording(Described):
         return self._messages.parse("gsb.v1.RunEnd", contents[-1])
 
     def _named(self, parse: Any, text: bytes) -> Any:
-        try:
+        with damage_in(self.path):
             return parse(text, self._json)
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{self.path}: {error}") from None
 
 
 def _cause(number: int) -> str:

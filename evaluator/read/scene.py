@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gpusimbench.evaluator.metrics.lost_cubes import Board, Support
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, damage_in
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.trial_units import Extent, extent_of, reach_of
 
@@ -27,14 +27,12 @@ def board_of(recording: Recording) -> Board | None:
     name = scene.get("board")
     if not name:
         return None
-    try:
+    with damage_in(recording.path):
         for body in checks.objects(scene, "bodies"):
             if body.get("name") == name:
                 size = checks.vector(checks.mapping(body, "shape").get("size"), 3, "the board's size")
                 centre = checks.vector(body.get("position"), 3, "the board's position")
                 return Board(size, centre)
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None
     raise DamagedRecording(f"{recording.path}: the scene has no body named {name!r}")
 
 
@@ -44,15 +42,13 @@ def supports_of(recording: Recording) -> tuple[Support, ...]:
 
     What is inclined holds bodies up as well, but has no one height; nothing is said of it.
     """
-    try:
+    with damage_in(recording.path):
         bodies = [b for b in checks.objects(recording.scene, "bodies") if b.get("mass") is None]
         floors = [
             _ground(checks.number(floor, "height", -_FAR_M, _FAR_M))
             for floor in checks.objects(recording.geometry or {}, "floors")
         ]
         return tuple(floors + [support for body in bodies if (support := _support(body))])
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None
 
 
 def radii_of(recording: Recording, field: StateField) -> Array:
@@ -60,7 +56,7 @@ def radii_of(recording: Recording, field: StateField) -> Array:
     from its origin [m], shape [item]; 0 where its shape is not known. DamagedRecording where one is unreadable."""
     found: dict[str, float] = {}
     reach = 0.0
-    try:
+    with damage_in(recording.path):
         for body in checks.objects(recording.scene, "bodies"):
             if body.get("group") == field.group:
                 found[checks.text(body, "name")] = reach_of(checks.mapping(body, "shape"), most=_FAR_M)
@@ -68,17 +64,13 @@ def radii_of(recording: Recording, field: StateField) -> Array:
             reach = max(reach, checks.number(floor, "reach", 0.0, _FAR_M))
             reaches = checks.mapping(floor, "reaches")
             found.update({name: checks.number(reaches, name, 0.0, _FAR_M) for name in reaches})
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None
     return np.array([found.get(name, reach) for name in field.items])
 
 
 def extent_of_trials(recording: Recording, group: str) -> Extent | None:
     """Where the bodies of a group should come to lie; DamagedRecording where the scene is unreadable."""
-    try:
+    with damage_in(recording.path):
         return extent_of(recording.scene, group)
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None
 
 
 def _ground(height: float) -> Support:

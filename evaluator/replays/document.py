@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gpusimbench.evaluator.diff.verdict import apart, place_of
+from gpusimbench.evaluator.diff.brief import apart, place_of
 from gpusimbench.evaluator.json_values import document_of, dump, values_of
 from gpusimbench.evaluator.render.document import NONE, Block, Cell, Document, Text, Tone, facts, items, table
 from gpusimbench.evaluator.render.numbers import bounds

@@ -39,6 +39,7 @@ from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
 from gpusimbench.evaluator.runs.groups import shown_status
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import cut, few, first, plural
 
 _SHORT = "* "
@@ -175,10 +176,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
         speed = result.metrics[FPS.name]
         if (mean := known(speed.value)) is not None and (speeds := speed.of(Throughput).speeds):
             yield Text(f"{result.label}: {speeds.note(mean)}", Tone.WARNING)
-    notes: dict[str, list[str]] = {}
-    for result in results:
-        for note in result.doubts:
-            notes.setdefault(note, []).append(result.label)
+    notes = gathered((note, result.label) for result in results for note in result.doubts)
     yield from (Text(f"{few(of, _PASSED)}: {note}", Tone.WARNING) for note, of in notes.items())
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)

@@ -8,12 +8,13 @@ from typing import Any
 from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.check.rules.fact import FactType
 from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
-from gpusimbench.evaluator.check.rules.findings import BrokenRule, Checked, Report, Unchecked
+from gpusimbench.evaluator.check.rules.findings import BrokenRule, Checked, Report
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import Rule, RuleSet, Scope, Severity
 from gpusimbench.evaluator.json_values import document_of, dump, picked, plain
 from gpusimbench.evaluator.render.document import Block, Document, Facts, Item, Items, Section, Text, Tone, facts, items
 from gpusimbench.schemas import __version__
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.text import plural
 
@@ -118,10 +119,11 @@ def _by_rule(report: Report) -> Iterator[Item]:
 
 def _not_complete(report: Report) -> Iterator[Item]:
     """Runs that did not end as they should, by how they ended."""
-    ends: dict[tuple[str, str], list[Place]] = {}
-    for file in report.files:
-        if file.status not in (_COMPLETE, "unreadable"):
-            ends.setdefault((file.status, _joined(file.reason)), []).append(file.path)
+    ends = gathered(
+        ((file.status, _joined(file.reason)), file.path)
+        for file in report.files
+        if file.status not in (_COMPLETE, "unreadable")
+    )
     for (status, reason), files in ends.items():
         where = f" ({_names(files, report)})" if len(report.files) > 1 else ""
         yield Item(f"the run is {status}{f': {reason}' if reason else ''}{where}", Tone.WARNING)
@@ -129,9 +131,7 @@ def _not_complete(report: Report) -> Iterator[Item]:
 
 def _not_checked(report: Report) -> Iterator[Item]:
     """Rules that could not be asked, by the reason."""
-    reasons: dict[str, list[Unchecked]] = {}
-    for one in report.unchecked:
-        reasons.setdefault(one.reason, []).append(one)
+    reasons = gathered((one.reason, one) for one in report.unchecked)
     for reason, found in reasons.items():
         ids = dict.fromkeys(one.rule.id for one in found)
         rules = ", ".join(ids) if len(ids) <= _RULES else plural(len(ids), "rule")

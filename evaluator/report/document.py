@@ -10,7 +10,6 @@ from gpusimbench.evaluator.player.playback import Playback, playback_of
 from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text, items
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.report.sections import (
-    accumulation,
     canonical,
     comparison,
     consistency,
@@ -26,7 +25,6 @@ from gpusimbench.evaluator.report.sections import (
     probed,
     problems,
     provenance,
-    recordings,
     scaling,
     simulators,
     throughput,
@@ -54,7 +52,7 @@ SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
     canonical.section,
     throughput.section,
     scaling.section,
-    accumulation.section,
+    scaling.accumulation,
     validity.section,
     playback.section,
     density.section,
@@ -67,7 +65,7 @@ SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
     paper_tables.section,
     paper_tables.published_figures,
     provenance.section,
-    recordings.section,
+    provenance.every_file,
 )
 """Of a report, in order. A section that does not apply is None; where recordings lack what it needs, the title and the
 reason stand for it."""
@@ -101,7 +99,7 @@ def _title(source: Source) -> str:
 
 def in_short(source: Source) -> Document:
     """The same without where each recording comes from, which would take pages of a terminal: see gsb-info."""
-    sections = [one for one in SECTIONS if one not in (provenance.section, recordings.section)]
+    sections = [one for one in SECTIONS if one not in (provenance.section, provenance.every_file)]
     return Document("", (*overview(source), *_made(source, sections)), asked_of(source.evaluation))
 
 

@@ -22,6 +22,7 @@ from gpusimbench.evaluator.runs.memory import described
 from gpusimbench.schemas import __version__
 from gpusimbench.schemas.configuration import MAX_VIEW, TELLING, RunConfiguration
 from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.initial import initial_words
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
@@ -47,9 +48,7 @@ _FIRST = (
 
 def info_document(found: Inspection, *, every: bool = False) -> Document:
     """What a file is: who made it, of what, where, and what is in it; with `every`, all that it says of itself."""
-    said: dict[str, list[str]] = {}
-    for label, text in _entries(found):
-        said.setdefault(label, []).append(_short(text))
+    said = gathered((label, cut(" ".join(text.split()), _LONGEST)) for label, text in _entries(found))
     shown = [name for name in said if every or name in _FIRST or (name == "overflow" and found.overflowed)]
     pairs = tuple((name, Cell(said[name][0], notes=tuple(said[name][1:]), tone=_tone(name, found))) for name in shown)
     blocks: list[Block] = [Facts(pairs)]
@@ -91,10 +90,6 @@ def _file(value: Any) -> Any:
     if isinstance(value, dict) and any(map(is_dataclass, value.values())):
         return {name: _file(item) for name, item in value.items()}
     return plain(value)
-
-
-def _short(text: str) -> str:
-    return cut(" ".join(text.split()), _LONGEST)
 
 
 def _entries(found: Inspection) -> Iterator[tuple[str, str]]:

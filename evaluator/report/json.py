@@ -1,32 +1,33 @@
-"""An evaluation as JSON, for programs."""
+"""An evaluation as JSON, for programs; and the answers of a probe."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.json_values import document_of, dump, entry, picked, values_of
+from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
 from gpusimbench.evaluator.metrics.memory import MemoryModel
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.probe.json import probe_record
-from gpusimbench.evaluator.report.evidence_json import (
-    capability_record,
-    contender_record,
-    divergence_records,
-    family_record,
-    faults_record,
-)
+from gpusimbench.evaluator.probe.finding import Finding, verdict_of
+from gpusimbench.evaluator.probe.questions import Probed
 from gpusimbench.evaluator.report.sections.mechanics import fidelity_record
 from gpusimbench.evaluator.report.timed import timed_record
 from gpusimbench.evaluator.results.canonical import Law, Unmeasured
 from gpusimbench.evaluator.results.convergence import Convergence
+from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults
+from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.group_runs import Reference
 from gpusimbench.evaluator.results.metric import Estimate
-from gpusimbench.evaluator.results.paper_tables import capability
-from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.results.paper_tables import AtMax, Capability, capability
+from gpusimbench.evaluator.results.ranking import Contender
+from gpusimbench.evaluator.results.result import GroupResult, RunSpread
 from gpusimbench.evaluator.results.sweeps import SOURCES, Accumulation, Sweep, SweepPoint
 from gpusimbench.evaluator.results.validity import Validity
 from gpusimbench.evaluator.runs.run import Run
@@ -56,12 +57,12 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
             name: {axis.value: value for axis, value in axes.items()}
             for name, axes in (comparison.radar.values if comparison.radar else {}).items()
         },
-        "compared": [contender_record(contender) for contender in comparison.contenders],
+        "compared": [_contender(contender) for contender in comparison.contenders],
         "guidelines": comparison.guidelines,
         "protocol": {"rules": PROTOCOL, "findings": evaluation.unmet.count, "by_rule": dict(evaluation.unmet.findings)},
-        "price_list": [family_record(family) for family in evaluation.price_list],
-        "probes": [probe_record(one) for one in evaluation.probed],
-        "capability": [capability_record(row) for row in capability(evaluation.sweeps, evaluation.results)],
+        "price_list": [_family(family) for family in evaluation.price_list],
+        "probes": [_probe(one) for one in evaluation.probed],
+        "capability": [_capability(row) for row in capability(evaluation.sweeps, evaluation.results)],
     }
     return document_of(document)
 
@@ -129,8 +130,8 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "metrics": {name: _metric(metric) for name, metric in result.metrics.items()},
         "timed": timed_record(result.timed),
         "validity": _validity(result.validity),
-        "faults": faults_record(faults(result)),
-        "divergence": divergence_records(result),
+        "faults": vars(faults(result)),
+        "divergence": [_apart(one) for one in result.spreads],
         "physics": fidelity_record(result.fidelity),
         "laws": [_law(law) for law in result.laws],
         "deviations": _deviations(result),
@@ -216,3 +217,129 @@ def _recording(recording: Run) -> dict[str, Any]:
         "created_utc": recording.provenance.created_utc,
         "lost": list(recording.dropouts),
     }
+
+
+def _family(family: Family) -> dict[str, Any]:
+    """A configuration under all its levels of determinism."""
+    first = family.base or family.prices[0].result
+    return {
+        **picked(first.group.key, "simulator scene n_env device"),
+        "options": first.group.recordings[0].configuration.options,
+        "default": _level(family.base) if family.base else None,
+        "levels": [_level_price(price) for price in family.prices],
+    }
+
+
+def _capability(row: Capability) -> dict[str, Any]:
+    """A simulator at its N_env^max, by scene."""
+    return {
+        "label": row.label,
+        **picked(row.key, "simulator version device determinism"),
+        "elsewhere": list(row.elsewhere),
+        "scenes": {scene: _at_max(at) for scene, at in row.at.items()},
+    }
+
+
+def _contender(contender: Contender) -> dict[str, Any]:
+    """What radar, dot plots and guidelines are made of; a value that is missing has its reason."""
+    checked = contender.group.fidelity if contender.group else None
+    return {
+        "name": contender.figures.name,
+        "group": contender.group.label if contender.group else None,
+        "sweep": contender.sweep.label if contender.sweep else None,
+        "sweep_with_robot": contender.robot.label if contender.robot else None,
+        "n_env_max": contender.figures.n_max,
+        "values": {
+            axis.value: entry("value", found) if isinstance(found, Missing) else estimate_record(found)
+            for axis, found in contender.metrics.items()
+        },
+        "checks_broken": len(checked.of(CheckVerdict.BROKEN)) if checked and checked.rows else None,
+        "checks_held": checked.held if checked and checked.rows else None,
+        "checks_by": checked.revision.value if checked and checked.rows else None,
+        "timed": timed_record(contender.speed.timed) if contender.speed else None,
+        "barred": contender.figures.barred,
+        "barred_with_robot": contender.figures.barred_articulated,
+    }
+
+
+def _level(result: GroupResult) -> dict[str, Any]:
+    return {
+        "group": result.label,
+        "determinism": result.group.key.determinism,
+        "outcomes": result.group.outcomes,
+        "distinct_envs": known(result.metrics["distinct_envs"].value),
+        "distinct_runs": known(result.metrics["distinct_runs"].value),
+        "faults": vars(faults(result)),
+        "timed": timed_record(result.timed),
+    }
+
+
+def _level_price(price: Price) -> dict[str, Any]:
+    costs = {"throughput_of_default": _cost(price.speed), "memory_of_default": _cost(price.memory)}
+    return {**_level(price.result), "in_force": list(price.differs), **costs}
+
+
+def _cost(cost: Cost) -> dict[str, Any]:
+    return {**picked(cost, "ratio ci95"), "cannot_be_told_apart_from_1": cost.undecided}
+
+
+def _at_max(at: AtMax) -> dict[str, Any]:
+    return {
+        "n_env_max": at.n_max,
+        "fps": estimate_record(at.fps) if at.fps else None,
+        "memory": estimate_record(at.memory) if at.memory else None,
+        "limit": at.limit.name.lower(),
+        "ends": at.ends,
+        "contacts_per_env": at.contacts,
+        "timed": timed_record(at.timed) if at.timed else None,
+        "faults": vars(at.faults),
+    }
+
+
+def estimate_record(estimate: Estimate) -> dict[str, Any]:
+    """The figures of an estimate, or why there are none."""
+    return {"metric": estimate.name, **picked(estimate, "value unit sd ci95 n")}
+
+
+def _apart(one: RunSpread) -> dict[str, Any]:
+    found = one.spread
+    if isinstance(found, Missing):
+        return {"run": one.run, "missing": found.reason}
+    times, largest = np.array(found.times), np.array([np.nan if v is None else v for v in found.largest])
+    apart = np.flatnonzero(largest > 0)
+    return {
+        "run": one.run,
+        "missing": "",
+        "recorded_steps": len(found.steps),
+        "first_apart_s": float(times[apart[0]]) if len(apart) else None,
+        "reaches_limit_s": first_reaching(times, largest, FIT_LIMIT_M),
+        f"limit_{found.unit}": FIT_LIMIT_M,
+        f"largest_at_end_{found.unit}": found.largest[-1],
+        f"rms_at_end_{found.unit}": found.rms[-1],
+        **picked(found, "fit"),
+    }
+
+
+def dump_probe(probed: Sequence[Probed], prices: Sequence[Family]) -> str:
+    """The document that ``gsb-probe --json`` writes, with what levels of determinism cost."""
+    return dump(document_of({"probes": [*map(_probe, probed)], "prices": [*map(_family, prices)]}))
+
+
+def _probe(probed: Probed) -> dict[str, Any]:
+    """One configuration and its answers."""
+    arms, findings = probed
+    return {
+        **picked(arms.key, "simulator version device scene determinism options seed"),
+        # what the arms of a probe differ in is no setting of all of them
+        **{name: value for name, value in arms.key.told.items() if name not in ("initial", "intervention")},
+        "n_env": arms.n_env,
+        "numbers": sorted(arms.by_number),
+        "verdict": verdict_of(findings),
+        "failed": dict(arms.failed),
+        "answers": [_finding(finding) for finding in findings],
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    found = None if finding.found is None else {**values_of(finding.found), "level": finding.found.level.name.lower()}
+    return {**values_of(finding), "found": found}

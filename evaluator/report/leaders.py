@@ -15,6 +15,7 @@ from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import largest_comparable, window_key
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, Ranked, configuration, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
+from gpusimbench.schemas.gathering import gathered
 
 _UNKNOWN = "no run of this configuration has errors against tosses"
 
@@ -75,10 +76,7 @@ class Fastest:
 
 def not_ranked(found: Fastest, results: Sequence[GroupResult]) -> dict[str, list[GroupResult]]:
     """Groups that were faster than the first one named, by the kind of reason why they are not ranked."""
-    by_kind: dict[str, list[GroupResult]] = {}
-    for speed, reason in found.faster:
-        by_kind.setdefault(_kind(speed.result, reason, results), []).append(speed.result)
-    return by_kind
+    return gathered((_kind(speed.result, reason, results), speed.result) for speed, reason in found.faster)
 
 
 def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
@@ -86,11 +84,11 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
 
     Of several sets of such groups, the one whose environments begin and stay as the scene says, then the largest.
     """
-    clocked: dict[tuple[str, str], list[GroupResult]] = {}
-    for result in results:
-        key = result.group.key
-        if not (isinstance(result.metrics["fps"].value, Missing) or is_instrument(key)):
-            clocked.setdefault((key.scene, key.device), []).append(result)
+    clocked = gathered(
+        ((r.group.key.scene, r.group.key.device), r)
+        for r in results
+        if not (isinstance(r.metrics["fps"].value, Missing) or is_instrument(r.group.key))
+    )
     for (scene, device), found in sorted(clocked.items()):
         alike = largest_comparable(found, lambda r: r.group.key, lambda r: window_key(r.group.key, r.timed))
         if not alike:

@@ -18,10 +18,10 @@ from gpusimbench.evaluator.results.timed_work import (
     SETTINGS,
     SHORT_S,
     TimedWork,
-    Window,
     differing_settings,
     most_common,
 )
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 _NAMED = 6  # rows that a remark names
@@ -151,9 +151,7 @@ def incomparable(results: Iterable[GroupResult]) -> list[str]:
 
 
 def _incomparable(rows: Sequence[tuple[str, TimedWork]], *, counted: bool = False) -> list[str]:
-    by_window: dict[tuple[Window, ...], list[str]] = {}
-    for name, work in rows:
-        by_window.setdefault(work.windows, []).append(name)
+    by_window = gathered((work.windows, name) for name, work in rows)
     if len(by_window) < 2:
         return []
     usual = most_common([work.windows for _, work in rows])

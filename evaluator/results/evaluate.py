@@ -51,6 +51,7 @@ from gpusimbench.evaluator.runs.toss_motion import (
 )
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.text import few, plural
@@ -183,9 +184,7 @@ def _configuration(run: Run) -> tuple[str, ...]:
 
 def _maps(found: Sequence[_Found], target: Reference | None) -> dict[str, Map]:
     """The map of each scene that has one."""
-    by_scene: dict[str, list[_Found]] = {}
-    for one in found:
-        by_scene.setdefault(one.result.group.key.scene, []).append(one)
+    by_scene = gathered((one.result.group.key.scene, one) for one in found)
     maps = {}
     for scene, ours in by_scene.items():
         board = next((run.board for one in ours for run in one.runs if run.board), None)
@@ -223,9 +222,7 @@ def _targets(
     A reference that was given is that of every scene. Without one, each scene is compared with the only real trials of
     it among the files. Doubts are added to the notes.
     """
-    of_scene: dict[str, list[Run]] = {}
-    for run in [given] if given is not None else measured:
-        of_scene.setdefault(run.configuration.scene, []).append(run)
+    of_scene = gathered((run.configuration.scene, run) for run in ([given] if given is not None else measured))
     found: dict[str, Reference] = {}
     reasons, said = [], []
     for scene, runs in of_scene.items():

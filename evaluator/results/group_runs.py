@@ -19,6 +19,7 @@ from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
 from gpusimbench.evaluator.runs.state_hashes import side_by_side
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.location import Place
 
 
@@ -47,10 +48,7 @@ def left_out(runs: Runs) -> list[str]:
     """A sentence for each reason why runs are not among the sampled ones."""
     used = sampled(runs)
     reached = {id(run) for run in used}
-    found: dict[str, list[int]] = {}
-    for at, run in enumerate(runs):
-        if id(run) not in reached:
-            found.setdefault(why_missing(run.positions), []).append(at)
+    found = gathered((why_missing(run.positions), at) for at, run in enumerate(runs) if id(run) not in reached)
     others = "run" if len(used) == 1 else f"{len(used)} runs"
     return [
         f"{named([runs[at] for at in places])} left out of W1, equality, published type and bodies off the board, "

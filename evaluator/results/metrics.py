@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 from gpusimbench.evaluator.metrics.radar import Axis
-from gpusimbench.evaluator.results.clamped_metrics import CLAMPED
 from gpusimbench.evaluator.results.cost_metrics import COSTS
-from gpusimbench.evaluator.results.group_metrics import LEFT_BOARD, REGIME, SANK, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.group_metrics import (
+    CLAMPED,
+    LEFT_BOARD,
+    REGIME,
+    SANK,
+    W1_PARALLEL,
+    W1_REAL,
+    W1_RUN_TO_RUN,
+)
 from gpusimbench.evaluator.results.identity_metrics import (
     CAPTURE_CHANGES_STATES,
     DISTINCT_ENVS,

@@ -15,6 +15,7 @@ from gpusimbench.evaluator.runs.groups import GroupKey
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.permutation import ALPHA, p_value, ranges_of
 from gpusimbench.schemas.configuration import deciding
+from gpusimbench.schemas.gathering import gathered
 
 _T = TypeVar("_T")
 
@@ -113,9 +114,7 @@ def largest_comparable(
 
     Runs that were left alone come before runs with --initial, --vary or --intervene, of which there may be more.
     """
-    alike: dict[Hashable, list[_T]] = {}
-    for item in items:
-        alike.setdefault(conditions(item), []).append(item)
+    alike = gathered((conditions(item), item) for item in items)
     shared = [found for found in alike.values() if len({key(item).simulator for item in found}) > 1]
 
     def rank(found: list[_T]) -> tuple[bool, int, int]:

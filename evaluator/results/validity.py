@@ -10,6 +10,7 @@ import numpy as np
 from gpusimbench.evaluator.missing import Claim, every
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.run import BitSummary, Run
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
 
 PHASES = ("capture", "timed")
@@ -171,11 +172,12 @@ def _overflow(runs: Sequence[Run]) -> tuple[OverflowSeen, ...] | None:
     described: dict[int, OverflowBit] = {}
     for run in telling:
         described |= {bit.bit: bit for bit in (run.simulation.overflow_bits if run.simulation else ())}
-    seen: dict[int, list[tuple[BitSummary, str, bool, int]]] = {}
-    for index, run in enumerate(telling):
-        for phase, overflows in run.overflows.items():
-            for fired in overflows.bits:
-                seen.setdefault(fired.bit, []).append((fired, phase, overflows.spread, index))
+    seen = gathered(
+        (fired.bit, (fired, phase, overflows.spread, index))
+        for index, run in enumerate(telling)
+        for phase, overflows in run.overflows.items()
+        for fired in overflows.bits
+    )
     return tuple(_seen(described.get(bit), seen[bit]) for bit in sorted(seen))
 
 

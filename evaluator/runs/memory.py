@@ -13,6 +13,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.streams import MemoryTrace
 from gpusimbench.evaluator.runs.groups import key_of
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.gathering import gathered
 
 _KIND = ("name", "driver", "cuda_driver", "memory_bytes", "compute_capability", "ecc", "mig", "persistence_mode")
 """What the driver keeps for itself depends on, of a GPU."""
@@ -93,9 +94,7 @@ def notes(runs: Sequence[Run]) -> list[str]:
 
 def described(signs: Sequence[Sign]) -> str:
     """The signs of other processes, in words."""
-    alike: dict[tuple[int | None, str], list[Sign]] = {}
-    for sign in signs:
-        alike.setdefault((sign.processes, sign.by), []).append(sign)
+    alike = gathered(((sign.processes, sign.by), sign) for sign in signs)
     return "; ".join(map(_said, alike.values()))
 
 

@@ -24,7 +24,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import damage_in
 from gpusimbench.schemas.fields import StateField
 
 NO_BODIES = Missing('no positions of free bodies were recorded (W1 needs a group with the field "position")')
@@ -50,10 +50,8 @@ def outcome_of(recording: Recording) -> tuple[StateField, ...] | Missing:
 
 def declared_outcome(recording: Recording) -> tuple[str, ...]:
     """Names of the groups that scene.json declares as the outcome; empty where it declares none."""
-    try:
+    with damage_in(f"{recording.path}: scene.json"):
         return checks.texts(recording.scene, "outcome")
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: scene.json: {error}") from None
 
 
 def positional(fields: Sequence[StateField]) -> tuple[StateField, ...]:
@@ -89,7 +87,7 @@ def _over_board(recording: Recording) -> frozenset[str]:
         return frozenset()
     (x, y, _), (length, width, _) = board.centre, board.size
     over: dict[str, bool] = {}
-    try:
+    with damage_in(recording.path):
         for body in checks.objects(recording.scene, "bodies"):
             group = checks.text(body, "group", default="")
             if body.get("mass") is None or not group:
@@ -97,8 +95,6 @@ def _over_board(recording: Recording) -> frozenset[str]:
             at = checks.vector(body.get("position"), 3, "a body's position")
             inside = abs(at[0] - x) <= length / 2 and abs(at[1] - y) <= width / 2
             over[group] = over.get(group, True) and inside
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None
     return frozenset(group for group, inside in over.items() if inside)
 
 

@@ -20,7 +20,7 @@ from gpusimbench.evaluator.runs.physics.measure import check_described
 from gpusimbench.evaluator.runs.positions import check_format
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.commands.progress import each, sizes
-from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
+from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording, damage_in
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.model_files import COMPRESSED, MODEL, plain
@@ -169,7 +169,7 @@ def _hashed_alike(recording: Recording, env: int, last: LastStates) -> None:
 
 def _described(recording: Recording) -> None:
     scene = recording.scene
-    try:
+    with damage_in(f"{recording.path}: scene.json"):
         for name in ("name", "board", "summary"):
             checks.text(scene, name, default="")
         for name in ("dt", "sample_time"):
@@ -179,8 +179,6 @@ def _described(recording: Recording) -> None:
             checks.vector(scene["gravity"], 3, "gravity")
         for name in ("parameters", "robot", "actions"):
             checks.mapping(scene, name)
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: scene.json: {error}") from None
 
 
 def _model(recording: Recording) -> None:
@@ -188,10 +186,8 @@ def _model(recording: Recording) -> None:
     model = recording.configuration.model
     for name in (MODEL, COMPRESSED) if model else ():
         data = recording.attachment(name)
-        try:
+        with damage_in(recording.path):
             other = data is not None and hashlib.sha256(plain(name, data)).hexdigest() != model
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{recording.path}: {error}") from None
         if other:
             raise DamagedRecording(f"{recording.path}: {name} is not the model whose SHA-256 the configuration names")
 

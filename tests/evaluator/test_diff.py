@@ -15,12 +15,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.cli.diff import main as diff_command
-from gpusimbench.evaluator.diff.brief import reached
+from gpusimbench.evaluator.diff.brief import both_of, reached, verdict_of
 from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
 from gpusimbench.evaluator.diff.numbers import Pairing
 from gpusimbench.evaluator.diff.result import Basis, Change, Difference, DiffVerdict, StepRange
-from gpusimbench.evaluator.diff.verdict import both_of, verdict_of
 from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording

@@ -21,7 +21,6 @@ from gpusimbench.evaluator.report.sections import (
     consistency,
     deviations,
     divergence,
-    dot_plot,
     paper_tables,
 )
 from gpusimbench.evaluator.report.source import Source
@@ -266,7 +265,7 @@ def test_dots_show_what_the_radar_compares(swept: Evaluation) -> None:
     """Draw the radar's own values with the intervals of their metrics, sorted, exact zeros open."""
     section = comparison.section(source(swept))
     assert section is not None
-    panels = {p.label: p for p in dot_plot.panels(swept.comparison.contenders)}
+    panels = {p.label: p for p in comparison.panels(swept.comparison.contenders)}
     titles = {axis: axis.value for axis in Axis} | {m.radar: m.title for m in METRICS.values() if m.radar}
     for contender in swept.comparison.contenders:
         values = contender.figures.axis_values()

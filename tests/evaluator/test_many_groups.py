@@ -9,7 +9,7 @@ import pytest
 
 from gpusimbench.evaluator.render.document import Facts, Items, Section, Table, Tone, walk
 from gpusimbench.evaluator.report.document import report
-from gpusimbench.evaluator.report.sections import provenance, recordings, throughput, validity
+from gpusimbench.evaluator.report.sections import provenance, throughput, validity
 from gpusimbench.evaluator.report.sections.mechanics import remarks
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
@@ -84,7 +84,7 @@ def test_validity_of_few_groups_is_one_table(alone: Source) -> None:
 
 def test_recordings_are_counted_by_simulator_and_listed_below(source: Source, alone: Source) -> None:
     """Count files and what is not complete; have every file with its hash in a closed part; list few at once."""
-    section = recordings.section(source)
+    section = provenance.every_file(source)
     assert section is not None
     assert section.summary == "13 files, 1 not complete"
     counted = rows_of(own(section)["recordings-simulators"])
@@ -94,7 +94,7 @@ def test_recordings_are_counted_by_simulator_and_listed_below(source: Source, al
     assert len(every.rows) == 13
     hashes = {run.content_hash for r in source.evaluation.results for run in r.group.recordings}
     assert {row.cells[4].text for row in every.rows} == hashes
-    few = recordings.section(alone)
+    few = provenance.every_file(alone)
     assert few is not None
     assert list(own(few)) == ["recordings"]
 

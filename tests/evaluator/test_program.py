@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
+from gpusimbench.evaluator.diff.brief import verdict_of
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.program_parts import ComparedPart, Kind
 from gpusimbench.evaluator.diff.result import Difference, DiffVerdict
-from gpusimbench.evaluator.diff.verdict import verdict_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.array_hashes import ArrayHashWriter, Hashed

@@ -13,7 +13,6 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Items, Section, Table, Tone
 from gpusimbench.evaluator.report.document import SECTIONS, report
 from gpusimbench.evaluator.report.sections import (
-    accumulation,
     determinism_cost,
     mechanics,
     scaling,
@@ -29,7 +28,7 @@ from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identi
 from tests.pages import text_of
 from tests.synthetic import write_recording, write_sweep
 
-TOPICS = (accumulation, determinism_cost, mechanics, scaling, throughput, validity, variability)
+TOPICS = (determinism_cost, mechanics, scaling, throughput, validity, variability)
 FACETS = {"simulator", "scene", "device", "level"}
 WIDEST = 9
 RECORDINGS = Path(__file__).parents[2] / "recordings"

@@ -207,10 +207,11 @@ def test_radar_leaves_gaps_open() -> None:
     assert "Z" not in str(outline.get("d"))
 
 
-def test_swatches_tell_many_groups_apart() -> None:
+def test_lines_and_marks_tell_many_groups_apart() -> None:
     """Repeat neither colour with dash nor colour with mark among more groups than there are colours."""
-    drawn = [lines.swatch(i) for i in range(2 * len(palette.GROUPS_LIGHT))]
-    assert len(set(drawn)) == len(drawn)
+    count = 2 * len(palette.GROUPS_LIGHT)
+    assert len({lines.path(i, "M1 8H33") for i in range(count)}) == count
+    assert len({lines.mark(i, 17, 8) for i in range(count)}) == count
 
 
 @pytest.mark.parametrize("dark", [False, True])

@@ -13,7 +13,7 @@ pytest.importorskip("mani_skill")
 import h5py
 
 from gpusimbench import UsageError, open_recording
-from gpusimbench.evaluator.diff.verdict import place_of
+from gpusimbench.evaluator.diff.brief import place_of
 from gpusimbench.evaluator.replays.verdict import EpisodeVerdict
 from tests.maniskill_tasks import SEEDS, STEPS, TASK, record
 from tests.replaying import replayed, replayed_recording

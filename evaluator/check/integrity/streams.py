@@ -13,6 +13,7 @@ from gpusimbench.evaluator.read.streams import of_both_phases
 from gpusimbench.evaluator.runs.validation import demands
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.provenance import LOGGED, REAL, SCENE
 from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.treatment import Intervention
@@ -69,10 +70,9 @@ def _omitted_readings(recording: Recording, problems: Problems) -> None:
 
 
 def _phases(recording: Recording, problems: Problems) -> None:
-    spans: dict[str, list[int]] = {}
-    for event in recording.events:
-        if event.kind in ("PHASE_BEGIN", "PHASE_END"):
-            spans.setdefault(event.phase, []).append(event.monotonic_ns)
+    spans = gathered(
+        (event.phase, event.monotonic_ns) for event in recording.events if event.kind in ("PHASE_BEGIN", "PHASE_END")
+    )
     for phase, span in spans.items():
         if len(span) != 2 and recording.status == "complete":
             problems.add(Kind.clock, f"phase {phase} has {len(span)} begins and ends, not one of each")

@@ -17,6 +17,7 @@ from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import EPOCH_NS, MAX_VIEW
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import embedded_schema
 from gpusimbench.schemas.view.foxglove import event_line, status_line
@@ -176,10 +177,11 @@ def _same_definition(data: bytes, kind: str) -> bool:
 
 def _reached(files: Any, kind: str) -> dict[str, list[tuple[Any, ...]]]:
     # each definition of a name, since a viewer may take any of them
-    definitions: dict[str, list[tuple[str, Any]]] = {}
-    for file in files.file:
-        for message in file.message_type:
-            definitions.setdefault(f".{file.package}.{message.name}", []).append((file.syntax, message))
+    definitions = gathered(
+        (f".{file.package}.{message.name}", (file.syntax, message))
+        for file in files.file
+        for message in file.message_type
+    )
     reached: dict[str, list[tuple[Any, ...]]] = {}
     waiting = [f".{kind}"]
     while waiting:

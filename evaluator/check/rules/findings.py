@@ -12,6 +12,7 @@ from gpusimbench.evaluator.check.rules.facts import FACTS, applies, fact_of, poi
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import Rule, RuleSet, Scope, Severity
 from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.text import plural
 
@@ -162,10 +163,7 @@ def _ask_set(rule: Rule, files: Sequence[Integrity], of: str) -> Iterator[Broken
 
 def points(files: Sequence[Integrity]) -> Iterable[tuple[str, list[Integrity]]]:
     """Runs of each point, with its name; the point at which a sweep ended, where no run is complete, is none."""
-    members: dict[tuple[str, ...], list[Integrity]] = {}
-    for file in files:
-        if (key := point_of(file)) is not None:
-            members.setdefault(key, []).append(file)
+    members = gathered((key, file) for file in files if (key := point_of(file)) is not None)
     reached = {key for key, runs in members.items() if any(fact_of("complete", run) is True for run in runs)}
     for key, runs in members.items():
         simulator, scene, n_env, options, determinism = key

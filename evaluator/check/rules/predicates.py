@@ -13,6 +13,7 @@ from typing import Any
 
 from gpusimbench.evaluator.check.rules.fact import FactType, Unknown
 from gpusimbench.evaluator.check.rules.facts import FACTS
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import cut, few, first, plural
 
 _SHOWN = 3
@@ -144,9 +145,7 @@ def _all_same(values: Mapping[str, Any], _: Any, __: Any) -> tuple[tuple[str, tu
 
 
 def _different(values: Mapping[str, Any], what: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    files: dict[str, list[str]] = {}
-    for file, value in values.items():
-        files.setdefault(repr(value), []).append(file)
+    files = gathered((repr(value), file) for file, value in values.items())
     if len(files) < 2:
         return ()
     usual = max(files, key=lambda key: len(files[key]))
@@ -160,9 +159,7 @@ def _files(found: list[str]) -> str:
 
 
 def _all_distinct(values: Mapping[str, Any], _: Any, __: Any) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    files: dict[str, list[str]] = {}
-    for file, value in values.items():
-        files.setdefault(repr(value), []).append(file)
+    files = gathered((repr(value), file) for file, value in values.items())
     return tuple(
         (f"{len(found)} files have {show(values[found[0]])}", tuple(found))
         for found in files.values()

@@ -24,6 +24,7 @@ from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.groups import status_notes
 from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 
@@ -219,9 +220,7 @@ def _of_runs(series: Sequence[Series], points: Sequence[Point]) -> Iterator[str]
 
 def _of_machines(traced: Sequence[Traced], points: Sequence[Point]) -> Iterator[str]:
     """Points at which all simulators of a device became faster, or slower, by one another's side."""
-    devices: dict[str, list[Traced]] = {}
-    for one in traced:
-        devices.setdefault(one.series.device, []).append(one)
+    devices = gathered((one.series.device, one) for one in traced)
     for device, several in devices.items():
         for index, point in enumerate(points):
             here = [one for one in several if any(entry.point == index for entry in one.series.entries[1:])]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,11 +17,10 @@ from gpusimbench.evaluator.runs.memory import with_peers
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 ORDER = "points are in the order of the earliest start time that their recordings have; labels are names of folders"
-
-_UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ def _is_point(inside: Path) -> bool:
 def _point(label: str, files: Sequence[Run | Unreadable]) -> Point:
     failures = [one for one in files if isinstance(one, Unreadable)]
     distinct, notes = without_copies([one for one in files if isinstance(one, Run)], failures)
-    times = [run.provenance.created_utc for run in distinct if _UTC.fullmatch(run.provenance.created_utc)]
+    times = [run.provenance.created_utc for run in distinct if run.provenance.dated]
     return Point(label, min(times, default=""), tuple(with_peers(distinct)), tuple(failures), tuple(notes))
 
 
@@ -154,10 +152,7 @@ def series_of(points: Sequence[Point], work: Work) -> tuple[list[Series], list[s
     for index, point in enumerate(points):
         groups = group(point.runs)
         measured += sum(len(g.recordings) for g in groups if g.measured)
-        alike: dict[tuple[GroupKey, str], list[Group[Run]]] = {}
-        for one in groups:
-            if not one.measured:
-                alike.setdefault((anywhere(one), machine(one)), []).append(one)
+        alike = gathered(((anywhere(one), machine(one)), one) for one in groups if not one.measured)
         for (key, place), several in alike.items():
             if len(several) > 1:
                 notes.append(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.render.figures import axis, lines
-from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
+from gpusimbench.evaluator.render.figures.svg import element, figure, open_path, text, title
 
 MAX_BINS = 400
 """Stretches of a curve that are drawn; of a longer curve, the smallest and the largest value of each stretch."""
@@ -102,16 +102,13 @@ def curves_chart(
 
 
 def _line(index: int, label: str, values: NDArray[np.float64], steps: NDArray[np.int64], x: Scale, y: Scale) -> str:
-    data, pen, marks = "", "M", []
     rows = shown_rows(values)
-    for step, value in zip(steps[rows].tolist(), values[rows].tolist(), strict=True):
-        if not math.isfinite(value):
-            pen = "M"
-            continue
-        data += f"{pen}{number(x(step))} {number(y(value))}"
-        pen = "L"
-        if len(rows) <= _FEW:
-            marks.append(lines.mark(index, x(step), y(value)))
+    places = [
+        (x(step), y(value)) if math.isfinite(value) else None
+        for step, value in zip(steps[rows].tolist(), values[rows].tolist(), strict=True)
+    ]
+    data = open_path(places)
+    marks = [lines.mark(index, *at) for at in places if at] if len(places) <= _FEW else []
     return element("g", title(label), lines.path(index, data), *marks) if data else ""
 
 

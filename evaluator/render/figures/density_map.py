@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.metrics.density import Density, log_density
 from gpusimbench.evaluator.render.figures import axis
 from gpusimbench.evaluator.render.figures.palette import LEVELS, level
-from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, number, text
+from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, number, open_path, text
 from gpusimbench.evaluator.results.result import Map
 
 _LEFT, _TOP, _BOTTOM, _SIDE, _GAP = 44.0, 14.0, 38.0, 44.0, 4.0
@@ -170,8 +170,7 @@ def _outline(plane: _Plane, board: Outline, extent: tuple[float, float, float, f
     area = element("rect", x=left, y=top, **size, class_="board")
     edges = [((x, low_y), (x, high_y)) for x in (board.x_min, board.x_max) if x_min < x < x_max]
     edges += [((low_x, y), (high_x, y)) for y in (board.y_min, board.y_max) if y_min < y < y_max]
-    lines = "".join(f"M{number(plane.x(a))} {number(plane.y(b))}L{number(plane.x(c))} {number(plane.y(d))}"
-                    for (a, b), (c, d) in edges)  # fmt: skip
+    lines = "".join(open_path((plane.x(x), plane.y(y)) for x, y in ends) for ends in edges)
     return area + (element("path", d=lines, class_="edge") if lines else "")
 
 

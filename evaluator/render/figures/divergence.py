@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import GrowthFit
 from gpusimbench.evaluator.render.figures import axis, lines
-from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
+from gpusimbench.evaluator.render.figures.svg import element, figure, open_path, text, title
 
 MAX_POINTS = 160
 """Points of a curve that are drawn; of more, evenly spread ones and the first that is not zero."""
@@ -122,28 +122,14 @@ def _curve(curve: Curve, x: Scale, y: Scale) -> str:
             parts += [lines.mark(curve.index, *at, hollow=hollow) for at in found]
         return element("g", *parts)
     for values, thin in ((curve.rms[rows], True), (curve.largest[rows], False)):
-        data = _broken([(x(t), y(v)) if np.isfinite(v) else None for t, v in zip(times, values, strict=True)])
+        places = [(x(t), y(v)) if np.isfinite(v) else None for t, v in zip(times, values, strict=True)]
         if thin:
-            parts.append(element("path", d=data, class_=f"{lines.colour_class(curve.index)} model"))
-        else:
-            parts.append(lines.path(curve.index, data))
-            if len(rows) <= _FEW:
-                parts += [
-                    lines.mark(curve.index, x(t), y(v)) for t, v in zip(times, values, strict=True) if np.isfinite(v)
-                ]
-    return element("g", *parts)
-
-
-def _broken(points: Sequence[tuple[float, float] | None]) -> str:
-    """Path data through points, open where there is none."""
-    parts, pen = [], "M"
-    for point in points:
-        if point is None:
-            pen = "M"
+            parts.append(element("path", d=open_path(places), class_=f"{lines.colour_class(curve.index)} model"))
             continue
-        parts.append(f"{pen}{number(point[0])} {number(point[1])}")
-        pen = "L"
-    return "".join(parts)
+        parts.append(lines.path(curve.index, open_path(places)))
+        if len(rows) <= _FEW:
+            parts += [lines.mark(curve.index, *at) for at in places if at]
+    return element("g", *parts)
 
 
 def _window(fit: GrowthFit, x: Scale) -> list[str]:
@@ -160,7 +146,7 @@ def _fit(curve: Curve, x: Scale, y: Scale) -> str:
     t, logs = curve.times[inside], np.log(curve.largest[inside])
     ends = [(x(at), y(math.exp(float(logs.mean() + fit.rate * (at - t.mean()))))) for at in (fit.begin_s, fit.end_s)]
     said = f"fit of {curve.label}: {fit.rate:.3g} per s, from {fit.begin_s:g} to {fit.end_s:g} s"
-    return element("path", title(said), d=_broken(ends), class_="fit")
+    return element("path", title(said), d=open_path(ends), class_="fit")
 
 
 def _onset(at: float) -> list[str]:

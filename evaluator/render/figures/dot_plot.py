@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.render.figures import axis, lines
-from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
+from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title, whisker_across
 
 _WIDTH = 400.0
 _LEFT, _RIGHT, _TOP, _ROW, _BOTTOM = 14.0, 22.0, 4.0, 29.0, 42.0
@@ -128,9 +128,7 @@ def _row(dot: Dot, y: float, scale: _Scale) -> str:
     colour = lines.colour_class(dot.index)
     if dot.low is not None and dot.high is not None:
         low, high = max(scale.place(dot.low), scale.begin if dot.value > 0 else _LEFT), scale.place(dot.high)
-        caps = "".join(f"M{number(end)} {number(y - 4)}v8" for end in (low, high))
-        line = f"M{number(low)} {number(y)}H{number(high)}"
-        parts.append(element("path", d=line + caps, class_=f"{colour} whisker"))
+        parts.append(element("path", d=whisker_across(y, low, high, 4), class_=f"{colour} whisker"))
     if dot.open:
         parts.append(element("path", d=f"M{number(x)} {number(y)}h16m-5 -4l5 4l-5 4", class_=f"{colour} whisker"))
     if dot.value == 0:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.render.figures import axis, lines
-from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
+from gpusimbench.evaluator.render.figures.svg import element, figure, number, open_path, text, title, whisker_up
 from gpusimbench.schemas.text import plural
 
 _WIDTH, _HEIGHT = 480.0, 250.0
@@ -84,7 +84,7 @@ def history_chart(
                               f"H{number(across(level.last + 0.4))}", class_="fit")
             for level in levels
         ),
-        lines.path(0, "M" + "L".join(f"{number(across(d.at))} {number(place_up(d.value))}" for d in dots)),
+        lines.path(0, open_path((across(d.at), place_up(d.value)) for d in dots)),
         *(_dot(dot, across(dot.at), place_up) for dot in dots),
         *_marks(marks, across, bottom),
     )  # fmt: skip
@@ -127,9 +127,7 @@ def _below(x: float, bottom: float, label: str) -> str:
 def _dot(dot: Dot, x: float, place_up: Callable[[float], float]) -> str:
     parts = [title(dot.said)] if dot.said else []
     if dot.low is not None and dot.high is not None:
-        low, high = place_up(dot.low), place_up(dot.high)
-        caps = "".join(f"M{number(x - 3)} {number(y)}h6" for y in (low, high))
-        d = f"M{number(x)} {number(low)}V{number(high)}{caps}"
+        d = whisker_up(x, place_up(dot.low), place_up(dot.high))
         parts.append(element("path", d=d, class_=f"{lines.colour_class(0)} whisker"))
     return element("g", *parts, lines.mark(0, x, place_up(dot.value)))
 

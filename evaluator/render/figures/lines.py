@@ -29,13 +29,6 @@ def path(index: int, data: str) -> str:
     return element("path", d=data, class_=line_class(index), stroke_dasharray=dash(index))
 
 
-def swatch(index: int) -> str:
-    """A series's line and mark, for a table's row."""
-    return element(
-        "svg", path(index, "M1 8H33"), mark(index, 17, 8), viewBox="0 0 34 16", class_="swatch", aria_hidden="true"
-    )
-
-
 def legend(
     labels: Sequence[tuple[int, str]],
     x: float,

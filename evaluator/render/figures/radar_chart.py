@@ -6,7 +6,7 @@ import math
 
 from gpusimbench.evaluator.metrics.radar import Axis, Radar
 from gpusimbench.evaluator.render.figures import lines
-from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, number, text
+from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, open_path, text
 
 AT_MOST = 8
 """Groups on one radar: as many as there are colours; more outlines cannot be told apart."""
@@ -53,8 +53,7 @@ def _line(index: int, values: list[float | None]) -> str:
     for i, value in enumerate(values):
         following = values[(i + 1) % len(values)]
         if value is not None and following is not None:
-            (x1, y1), (x2, y2) = _at(i, value), _at((i + 1) % len(values), following)
-            parts.append(f"M{number(x1)} {number(y1)}L{number(x2)} {number(y2)}")
+            parts.append(open_path([_at(i, value), _at((i + 1) % len(values), following)]))
     whole = [v for v in values if v is not None]
     if len(whole) == len(values):
         parts = [closed_path(_at(i, v) for i, v in enumerate(whole))]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.render.figures import axis, lines
-from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
+from gpusimbench.evaluator.render.figures.svg import element, figure, open_path, text, title, whisker_across, whisker_up
 
 _WIDTH, _HEIGHT = 560.0, 330.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 66.0, 12.0, 10.0, 44.0
@@ -82,8 +82,7 @@ def scatter(
     for point, at, label in zip(points, places, placed, strict=True):
         drawn.append(_mark(point, at, x_of, y_of))
         if label and label.leader:
-            data = f"M{number(at[0])} {number(at[1])}L{number(label.leader[0])} {number(label.leader[1])}"
-            drawn.insert(0, element("path", d=data, class_="lead-out"))
+            drawn.insert(0, element("path", d=open_path([at, label.leader]), class_="lead-out"))
         if label:
             # a grid line behind a label would strike it through
             over = "" if label.box.bottom > _LOW - _ZERO and strip else " over"
@@ -158,13 +157,9 @@ def _mark(point: Point, at: tuple[float, float], x_of: Scale, y_of: Scale) -> st
     colour = lines.colour_class(point.index)
     data = ""
     if point.speed_ci:
-        low, high = (x_of(v) for v in point.speed_ci)
-        data += f"M{number(low)} {number(y)}H{number(high)}"
-        data += "".join(f"M{number(end)} {number(y - 3)}v6" for end in (low, high))
+        data += whisker_across(y, *map(x_of, point.speed_ci))
     if point.divergence_ci:
-        low, high = (y_of(v) for v in point.divergence_ci)
-        data += f"M{number(x)} {number(low)}V{number(high)}"
-        data += "".join(f"M{number(x - 3)} {number(end)}h6" for end in (low, high))
+        data += whisker_up(x, *map(y_of, point.divergence_ci))
     if data:
         parts.append(element("path", d=data, class_=f"{colour} whisker"))
     parts.append(lines.mark(point.index, x, y, hollow=point.broken))

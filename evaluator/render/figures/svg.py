@@ -54,11 +54,28 @@ def figure(width: float, height: float, label: str, *children: str) -> str:
     return element("svg", *children, viewBox=box, role="img", aria_label=label, style=style)
 
 
-def open_path(points: Iterable[Sequence[float]]) -> str:
-    """Path data of straight lines from point to point (x, y)."""
-    return "M" + "L".join(f"{number(x)} {number(y)}" for x, y in points)
+def open_path(points: Iterable[Sequence[float] | None]) -> str:
+    """Path data of straight lines from point to point (x, y), open where there is none."""
+    data, pen = "", "M"
+    for point in points:
+        if point is not None:
+            data += f"{pen}{number(point[0])} {number(point[1])}"
+        pen = "M" if point is None else "L"
+    return data
 
 
 def closed_path(points: Iterable[Sequence[float]]) -> str:
     """Path data of a polygon through the points (x, y)."""
     return f"{open_path(points)}Z"
+
+
+def whisker_across(y: float, low: float, high: float, cap: float = 3.0) -> str:
+    """Path data of a line from left to right with a cap at both ends, so far up and down."""
+    caps = "".join(f"M{number(end)} {number(y - cap)}v{number(2 * cap)}" for end in (low, high))
+    return f"M{number(low)} {number(y)}H{number(high)}{caps}"
+
+
+def whisker_up(x: float, low: float, high: float, cap: float = 3.0) -> str:
+    """Path data of a line upwards with a cap at both ends, so far to the left and right."""
+    caps = "".join(f"M{number(x - cap)} {number(end)}h{number(2 * cap)}" for end in (low, high))
+    return f"M{number(x)} {number(low)}V{number(high)}{caps}"

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from gpusimbench.evaluator.metrics.identity import Branch, SplitTree
 from gpusimbench.evaluator.render.figures import axis
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import in_ranges
 
 _WIDTH = 480.0
@@ -74,10 +75,7 @@ def members(branch: Branch, of: str, names: Sequence[int]) -> str:
 
 def _order(tree: SplitTree) -> list[int]:
     """Branches from top to bottom: below each the branches that left it, the latest nearest, so that no lines cross."""
-    children: dict[int, list[int]] = {}
-    for at, branch in enumerate(tree.branches):
-        if branch.parent is not None:
-            children.setdefault(branch.parent, []).append(at)
+    children = gathered((branch.parent, at) for at, branch in enumerate(tree.branches) if branch.parent is not None)
     order, waiting = [], [0]
     while waiting:
         at = waiting.pop()

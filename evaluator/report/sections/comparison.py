@@ -8,7 +8,7 @@ from dataclasses import replace
 from markupsafe import Markup
 
 from gpusimbench.evaluator.metrics.guidelines import Guideline
-from gpusimbench.evaluator.metrics.radar import Axis, Radar
+from gpusimbench.evaluator.metrics.radar import LOWER_IS_BETTER, Axis, Radar
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.document import (
@@ -28,15 +28,118 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.figures import radar_chart
-from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.report.sections.dot_plot import bars, panels
-from gpusimbench.evaluator.report.sections.rows import Reasons, facets, footnotes, lines_of
+from gpusimbench.evaluator.render.figures.axis import tick_label
+from gpusimbench.evaluator.render.figures.dot_plot import Dot, dot_plot, is_logarithmic
+from gpusimbench.evaluator.render.numbers import figure, interval
+from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.sections.rows import Reasons, absences, facets, footnotes, lines_of, to_compare
+from gpusimbench.evaluator.report.sections.scaling import steps_label
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import for_probe
+from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.metrics import on_radar
 from gpusimbench.evaluator.results.ranking import Contender
 from gpusimbench.evaluator.runs.labels import options_given, row_names
+from gpusimbench.evaluator.runs.physics.facts import NEWEST
 from gpusimbench.schemas.text import few, plural
+
+_TITLES = ("group", "value", "low", "high", "note")
+_MECHANICS = f"broken checks of mechanics, {NEWEST.value}"
+
+
+def _bars(contender: Contender) -> str:
+    """Why a contender earns no pick; empty where nothing speaks against it."""
+    return contender.figures.barred or contender.figures.barred_articulated
+
+
+def _label(contender: Contender) -> str:
+    return f"{contender.figures.name} †" if _bars(contender) else contender.figures.name
+
+
+def panels(contenders: tuple[Contender, ...]) -> Iterator[Figure]:
+    """A panel for every axis of a radar, and the last for mechanics; those without a value say why."""
+    for axis in Axis:
+        dots, missing = [], dict[str, list[str]]()
+        for index, contender in enumerate(contenders):
+            dot = _dot(index, contender, axis)
+            if dot is None:
+                why = why_missing(contender.metrics.get(axis)) or "it was not measured"
+                missing.setdefault(why, []).append(contender.figures.name)
+            else:
+                dots.append(dot)
+        shown = on_radar(axis)
+        title, unit = (shown.title, shown.unit) if shown else (axis.value, "envs")
+        yield _picture(title, unit, dots, missing, larger=axis not in LOWER_IS_BETTER)
+    yield _mechanics(contenders)
+
+
+def _dot(index: int, contender: Contender, axis: Axis) -> Dot | None:
+    name = _label(contender)
+    if axis is Axis.PARALLELISM:
+        if contender.sweep is None or contender.sweep.n_max is None:
+            return None
+        sweep, n_max = contender.sweep, contender.sweep.n_max
+        following = next((p.n_env for p in sweep.points if p.n_env > n_max), None)
+        said = f"{name}: {n_max:,}; {sweep.ends}"
+        if following is None:
+            return Dot(index, name, float(n_max), open=True, said=said)
+        return Dot(index, name, float(n_max), float(n_max), float(following), said=said)
+    metric = contender.metrics.get(axis)
+    if not metric or isinstance(metric.value, Missing):
+        return None
+    low, high = metric.ci95 or (None, None)
+    why_not = (
+        ""
+        if metric.ci95
+        else f", no interval: {words.why_no_interval(metric, 'one run' if metric.n == 1 else 'none was computed')}"
+    )
+    said = (
+        f"{name}: {figure(metric.value, metric.unit)} {metric.unit} {interval(metric) if metric.ci95 else ''}{why_not}"
+    )
+    return Dot(index, name, metric.value, low, high, said=said)
+
+
+def _mechanics(contenders: tuple[Contender, ...]) -> Figure:
+    dots, missing = [], dict[str, list[str]]()
+    for index, contender in enumerate(contenders):
+        name = _label(contender)
+        found = contender.group.fidelity if contender.group else None
+        if found is None or not found.rows:
+            why_not = found.checks_missing if found else "no group of it ran under the shared conditions"
+            missing.setdefault(why_not, []).append(name)
+            continue
+        broken = found.of(CheckVerdict.BROKEN)
+        said = ", ".join(row.check.title for row in broken) or f"all {found.held} that could be made hold"
+        dots.append(Dot(index, name, float(len(broken)), said=f"{name}: {said}"))
+    return _picture(_MECHANICS, "checks", dots, missing, larger=False)
+
+
+def _picture(what: str, unit: str, dots: list[Dot], missing: dict[str, list[str]], *, larger: bool) -> Figure:
+    key = f"dots-{what.lower().replace(' ', '-')}"
+    absent = absences(missing)
+    if not dots:
+        return Figure(what, f"Nothing to show: {absent}.", None)
+    tick = steps_label if unit in ("env-steps/s", "envs") else tick_label
+    svg = dot_plot(dots, value=f"{what} [{unit}]", tick=tick, best_first=larger)
+    rows = [(d.label, d.value, d.low, d.high, d.said) for d in dots]
+    return Figure(what, _read(what, dots, absent, larger=larger), Markup(svg), key, Numbers(_TITLES, rows))
+
+
+def _read(what: str, dots: list[Dot], absent: str, *, larger: bool) -> str:
+    said = [f"{'Larger' if larger else 'Smaller'} is better; best on top."]
+    if is_logarithmic(dots):
+        said.append("Logarithmic axis.")
+    zeros = sum(d.value == 0 for d in dots)
+    if zeros:
+        said.append(f"Open circle: exactly 0 ({zeros}).")
+    if what == Axis.PARALLELISM.value:
+        said.append("Whisker: up to the next number that was tried, where no run was complete. Arrow: none failed.")
+    elif what != _MECHANICS and (alone := sum(d.low is None and d.value > 0 for d in dots)):
+        said.append(f"No whisker, no interval ({alone}): too few runs, or none that differ.")
+    if absent:
+        said.append(f"Not here: {absent}.")
+    return " ".join(said)
+
 
 _RADAR_CAPTION = (
     "Rim: the best of these groups. Middle: the worst of them. The scale is relative: another set of groups gives "
@@ -85,8 +188,8 @@ def section(source: Source) -> Section | None:
         return None
     contenders, names = _as_in_tables(source, compared.contenders)
     scaled = replace(compared.radar, values={names[name]: found for name, found in compared.radar.values.items()})
-    drawn = panels(contenders)
-    barred = lines_of([(f"† not recommended: {why}", c.figures.name) for c in contenders if (why := bars(c))])
+    drawn = [*panels(contenders)]
+    barred = lines_of([(f"† not recommended: {why}", c.figures.name) for c in contenders if (why := _bars(c))])
     empty = [Item(f"{one.label}: {one.caption}") for one in drawn if not one.svg]
     blocks: list[Block] = [Text(_HOW), Gallery(tuple(one for one in drawn if one.svg), 20)]
     blocks += [barred] if barred else []
@@ -104,8 +207,7 @@ def section(source: Source) -> Section | None:
     notes = timed.remarks((c.speed for c in contenders if c.speed), named=lambda r: called[r.label])
     notes += footnotes(source, (r for c in contenders if (r := c.group or c.speed)))
     if notes:
-        title, listed = "What must be known to compare them", Items(tuple(map(Item, notes)))
-        blocks.append(Section("comparison-remarks", title, (listed,), plural(len(notes), "note"), folded=True))
+        blocks.append(to_compare("comparison", notes))
     return Section(
         "comparison", "Simulators compared, with intervals", tuple(blocks), _summary(contenders), folded=True
     )
@@ -130,7 +232,7 @@ def _as_in_tables(source: Source, contenders: Sequence[Contender]) -> tuple[tupl
 
 
 def _summary(contenders: Sequence[Contender]) -> str:
-    barred = sum(bool(bars(c)) for c in contenders)
+    barred = sum(bool(_bars(c)) for c in contenders)
     said = f"{len(contenders)} groups that ran under the same conditions"
     return f"{said}; {barred} of them {'is' if barred == 1 else 'are'} not recommended" if barred else said
 
@@ -174,7 +276,7 @@ def _named(contender: Contender) -> Cell:
         notes.append(f"distances at {plural(key.n_env, 'env')} of {key.scene}")
     if contender.speed:
         notes += timed.beside(contender.speed.timed)
-    return Cell(contender.figures.name, notes=tuple(notes), tone=Tone.BAD if bars(contender) else Tone.PLAIN)
+    return Cell(contender.figures.name, notes=tuple(notes), tone=Tone.BAD if _bars(contender) else Tone.PLAIN)
 
 
 _PICKED = (
@@ -194,15 +296,11 @@ def guidelines(source: Source) -> Section | None:
         "guidelines",
         "The best simulator for each need",
         ["need, and the rule", "recommended, and the next best", "best first", "not recommended"],
-        [(_need(one), _pick(one), _ranking(one), _others(one)) for one in found],
+        [(Cell(one.need, notes=(one.rule,)), _pick(one), _ranking(one), _others(one)) for one in found],
     )
     picked = sum(bool(one.pick) for one in found)
     said = f"a simulator is named for {picked or 'none'} of {plural(len(found), 'need')}"
     return Section("guidelines", "The best simulator for each need", (Text(_PICKED), shown), said, folded=True)
-
-
-def _need(one: Guideline) -> Cell:
-    return Cell(one.need, notes=(one.rule,))
 
 
 def _pick(one: Guideline) -> Cell:

@@ -15,11 +15,10 @@ from gpusimbench.evaluator.render.document import (
     Table,
     Text,
     Tone,
-    items,
 )
 from gpusimbench.evaluator.render.numbers import NONE, bounds
 from gpusimbench.evaluator.report import timed, words
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_groups
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_groups, to_compare
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Cost, Family, Price
 from gpusimbench.evaluator.results.faults import faults
@@ -46,8 +45,7 @@ def section(source: Source) -> Section | None:
     blocks: list[Block] = [Text(_HOW), _table(source, families, results)]
     told = [(family, timed.remarks(of_family(family), named=lambda r: r.group.key.determinism)) for family in families]
     if remarks := [Item(family_name(one), items=tuple(map(Item, lines))) for one, lines in told if lines]:
-        title = "What must be known to compare them"
-        blocks.append(Section("prices-remarks", title, (items(*remarks),), plural(len(remarks), "note"), folded=True))
+        blocks.append(to_compare("prices", remarks))
     prices = sum(known(price.speed.ratio) is not None for family in families for price in family.prices)
     said = f"{plural(prices, 'level')} with a price, of {plural(len(families), 'configuration')}"
     return Section("prices", "What determinism costs", tuple(blocks), said, folded=True)

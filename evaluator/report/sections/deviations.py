@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.render.document import Section, Table, Text, key_of, table
 from gpusimbench.evaluator.render.figures.matrix import letter
+from gpusimbench.evaluator.report.sections.rows import ordered
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.text import few, plural
 
@@ -45,7 +47,7 @@ def section(source: Source) -> Section | None:
     found = _deviations(source.evaluation)
     if not found:
         return None
-    matrices = [_matrix(scene, results) for scene, results in _scenes(source.evaluation).items()]
+    matrices = [_matrix(scene, results) for scene, results in ordered(source.evaluation.results, "scene").items()]
     groups = len(source.evaluation.results)
     said_of = "by the adapters of the simulators"
     statements = table(
@@ -95,20 +97,12 @@ def _stated(result: GroupResult) -> tuple[Deviation, ...] | None:
     return tuple(dict.fromkeys(simulation.deviations)) if simulation else None
 
 
-def _scenes(evaluation: Evaluation) -> dict[str, list[GroupResult]]:
-    found: dict[str, list[GroupResult]] = {}
-    for result in evaluation.results:
-        found.setdefault(result.group.key.scene, []).append(result)
-    return found
-
-
 def _matrix(scene: str, results: Sequence[GroupResult]) -> Matrix:
-    alike: dict[frozenset[_Stated], list[GroupResult]] = {}
-    for result in results:
-        stated = _stated(result)
-        if stated is not None:
-            key = frozenset((d.parameter, d.wanted, d.used) for d in stated)
-            alike.setdefault(key, []).append(result)
+    alike = gathered(
+        (frozenset((d.parameter, d.wanted, d.used) for d in stated), result)
+        for result in results
+        if (stated := _stated(result)) is not None
+    )
     wanted = sorted({(parameter, value) for stated in alike for parameter, value, _ in stated})
     letters: dict[str, str] = {}
     rows = [
@@ -143,8 +137,5 @@ def _short(said: str, letters: dict[str, str]) -> str:
 
 def _deviations(evaluation: Evaluation) -> list[tuple[Deviation, list[str]]]:
     """Every parameter that was not honoured, once, with the groups that it holds for."""
-    found: dict[Deviation, list[str]] = {}
-    for result in evaluation.results:
-        for deviation in _stated(result) or ():
-            found.setdefault(deviation, []).append(result.label)
+    found = gathered((deviation, result.label) for result in evaluation.results for deviation in _stated(result) or ())
     return list(found.items())

@@ -28,6 +28,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.fidelity import DEMANDED, CheckVerdict, Fidelity, FidelityRow
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Measured
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
@@ -82,22 +83,17 @@ def number(value: float | None) -> str:
 
 def remarks(one: Fidelity) -> list[str]:
     """Notes of the checks that were made, and why the others were not: what several checks have is said once."""
-    noted: dict[str, list[str]] = {}
-    for row in one.rows:
-        for note in _in_ranges(row.notes):
-            noted.setdefault(note, []).append(row.check.title)
+    noted = gathered((note, row.check.title) for row in one.rows for note in _in_ranges(row.notes))
     lines = [f"{', '.join(titles)}: {note}" for note, titles in noted.items()]
-    reasons: dict[str, list[str]] = {}
-    for row in one.of(CheckVerdict.NOT_APPLICABLE):
-        reasons.setdefault(row.reason, []).append(row.check.title)
+    reasons = gathered((row.reason, row.check.title) for row in one.of(CheckVerdict.NOT_APPLICABLE))
     return [*lines, *(f"not applicable: {', '.join(names)}: {why}" for why, names in reasons.items())]
 
 
 def _in_ranges(notes: Sequence[str]) -> Iterator[str]:
     """Notes of several runs that differ in their numbers alone as one, each number as the range that it takes."""
-    alike: dict[str, list[list[str]]] = {}
-    for note in notes:
-        alike.setdefault(_NUMBER.sub("{}", note.replace("{", "(").replace("}", ")")), []).append(_NUMBER.findall(note))
+    alike = gathered(
+        (_NUMBER.sub("{}", note.replace("{", "(").replace("}", ")")), _NUMBER.findall(note)) for note in notes
+    )
     for words, found in alike.items():
         ranges = (sorted(set(numbers), key=float) for numbers in zip(*found, strict=True))
         yield words.format(*(values[0] if len(values) == 1 else f"{values[0]} to {values[-1]}" for values in ranges))

@@ -24,15 +24,14 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import missing
 from gpusimbench.evaluator.report import timed, words
-from gpusimbench.evaluator.report.scaling import beside_published
 from gpusimbench.evaluator.report.sections.rows import facets, named
+from gpusimbench.evaluator.report.sections.scaling import beside_published
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results import paper_tables, published
-from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
 from gpusimbench.evaluator.results.cost_metrics import FPS, GPU_MEMORY
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT
 from gpusimbench.evaluator.results.faults import Faults, faults
-from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.group_metrics import SUFFIX, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.published import AtLargest, Variability
 from gpusimbench.evaluator.results.result import GroupResult
@@ -308,7 +307,7 @@ def _at(found: AtLargest | None) -> tuple[Cell, Cell, Cell]:
 
 def _curves_beside(source: Source) -> Iterator[Block]:
     for scene in beside_published(source.evaluation.sweeps):
-        ours = ", ".join(f"{sweep.label} on {sweep.key.device or 'no device'}" for _, sweep in scene.sweeps)
+        ours = ", ".join(f"{sweep.label} on {sweep.key.device or 'no device'}" for sweep in scene.sweeps)
         said = f"curves: this report's, {ours}" if ours else "this report has no sweep of this scene"
         drawn = Gallery(tuple(scene.charts), 28)
         legend = Text(f"Diamonds with names: the paper's, on its machine, at N_env^max; {said}.", Tone.QUIET)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from typing import Any
@@ -23,6 +23,7 @@ from gpusimbench.evaluator.render.document import (
     Section,
     Table,
     Tone,
+    items,
     key_of,
 )
 from gpusimbench.evaluator.render.figures.matrix import letter
@@ -32,6 +33,7 @@ from gpusimbench.evaluator.results.metric import Estimate, Metric
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey
 from gpusimbench.evaluator.runs.labels import short_device
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 Written = Callable[[GroupResult], Cell]
@@ -39,6 +41,7 @@ Written = Callable[[GroupResult], Cell]
 
 FEW = 5
 """Groups that are listed at once; of more, a summary stands before the closed list."""
+_NAMED = 3  # groups whose absence a caption explains by name
 
 
 def without(title: str, reasons: Iterable[str]) -> Missing:
@@ -142,6 +145,20 @@ def lines_of(said: Sequence[tuple[str, str]]) -> Items | None:
     return Items(tuple(found)) if found else None
 
 
+def to_compare(section: str, notes: Sequence[Item | str]) -> Section:
+    """The folded notes of a section on what its numbers hang on beside the simulator."""
+    title, said = "What must be known to compare them", plural(len(notes), "note")
+    return Section(f"{section}-remarks", title, (items(*notes),), said, folded=True)
+
+
+def absences(reasons: Mapping[str, Sequence[str]]) -> str:
+    """Groups that a figure lacks, by the reason: a few by name, of more how many there are."""
+    return "; ".join(
+        f"{', '.join(names) if len(names) <= _NAMED else plural(len(names), 'group')} ({why})"
+        for why, names in reasons.items()
+    )
+
+
 def by_simulator(key: str, parts: Sequence[tuple[GroupResult, Section]]) -> tuple[Section, ...]:
     """Sections of groups in a closed section for each simulator; as they are where a reader sees them at once.
 
@@ -160,10 +177,7 @@ def by_simulator(key: str, parts: Sequence[tuple[GroupResult, Section]]) -> tupl
 
 def ordered(results: Iterable[GroupResult], name: str) -> dict[Any, list[GroupResult]]:
     """Groups by what their key has under a name, in the order in which they come."""
-    found: dict[Any, list[GroupResult]] = {}
-    for result in results:
-        found.setdefault(getattr(result.group.key, name), []).append(result)
-    return found
+    return gathered((getattr(result.group.key, name), result) for result in results)
 
 
 def value(found: Estimate, reasons: Reasons, *notes: str, tone: Tone = Tone.PLAIN) -> Cell:
@@ -197,10 +211,11 @@ def of_groups(
     legend = [*legend, *footnotes(source, (r for r, _ in kept))]
     legend += [f"{plural(bare, 'group')} without any of these values left out"] if bare and kept else []
     whole = Table(key, caption, titles, rows, tuple(legend)).without_empty_columns()
-    left_out: dict[str, list[str]] = {}
-    for i, title in enumerate(titles):
-        if title not in whole.columns and (why := _why_empty(rows, i, reasons)):
-            left_out.setdefault(why, []).append(title.title)
+    left_out = gathered(
+        (why, title.title)
+        for i, title in enumerate(titles)
+        if title not in whole.columns and (why := _why_empty(rows, i, reasons))
+    )
     marks = {note for row in whole.rows for one in row.cells for note in one.notes}
     used = [line for line in reasons.legend if line.split(" ")[0] in marks]
     missing = [f"no {', '.join(names)}: {why}" for why, names in left_out.items()]

@@ -11,7 +11,8 @@ from gpusimbench.evaluator.render.document import Figure, Numbers, key_of
 from gpusimbench.evaluator.render.figures.axis import tick_label
 from gpusimbench.evaluator.render.figures.scatter import Point, scatter
 from gpusimbench.evaluator.render.numbers import figure, interval
-from gpusimbench.evaluator.report.scaling import steps_label
+from gpusimbench.evaluator.report.sections.rows import absences
+from gpusimbench.evaluator.report.sections.scaling import steps_label
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.metric import Estimate
@@ -19,9 +20,9 @@ from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.runs.labels import labels, options_given
+from gpusimbench.schemas.gathering import gathered
 
 _SPEED = "fps"
-_NAMED = 3  # groups whose absence a caption explains by name
 
 
 def pictures(evaluation: Evaluation) -> Iterator[Figure]:
@@ -133,12 +134,7 @@ def _said(points: Sequence[Point], told: Sequence[GroupResult], far: str, absent
 
 
 def _absent(results: Sequence[GroupResult], distance: str) -> str:
-    missing: dict[str, list[str]] = {}
-    for result in results:
-        why_not = next((why for name in (_SPEED, distance) if (why := why_missing(result.metrics[name].value))), "")
-        if why_not:
-            missing.setdefault(why_not, []).append(result.label)
-    return "; ".join(
-        f"{', '.join(names) if len(names) <= _NAMED else f'{len(names)} groups'} ({why})"
-        for why, names in missing.items()
+    reasons = (
+        (next(filter(None, (why_missing(r.metrics[m].value) for m in (_SPEED, distance))), ""), r) for r in results
     )
+    return absences(gathered((why, r.label) for why, r in reasons if why))

@@ -8,7 +8,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Facts, Item, Section, facts, items, key_of
 from gpusimbench.evaluator.render.numbers import ranked
 from gpusimbench.evaluator.report.sections.divergence import onset
-from gpusimbench.evaluator.report.sections.rows import Reasons, column_of, of_groups
+from gpusimbench.evaluator.report.sections.rows import Reasons, column_of, of_groups, ordered
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
@@ -20,11 +20,9 @@ from gpusimbench.schemas.text import plural
 
 def section(source: Source) -> Section | None:
     """A folded part for each simulator."""
-    results = source.evaluation.results
-    names = list(dict.fromkeys(r.group.key.simulator for r in results))
-    if not names:
+    parts = tuple(_of(source, *one) for one in ordered(source.evaluation.results, "simulator").items())
+    if not parts:
         return None
-    parts = tuple(_of(source, name, [r for r in results if r.group.key.simulator == name]) for name in names)
     return Section("each", "Each simulator", parts, plural(len(parts), "simulator"), folded=True)
 
 

@@ -17,6 +17,7 @@ from gpusimbench.evaluator.report.sections.rows import (
     lines_of,
     of_groups,
     ordered,
+    to_compare,
     without,
 )
 from gpusimbench.evaluator.report.source import Source
@@ -24,6 +25,7 @@ from gpusimbench.evaluator.results.cost_metrics import CAPTURE_OVERHEAD, FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.metric import Metric, Table
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import plural
 
 _HOW = (
@@ -81,8 +83,7 @@ def _speeds(source: Source, results: list[GroupResult]) -> Iterator[Block]:
     if first:
         yield items(*first)
     if rest := [one for one in dict.fromkeys(lines) if timed.NOT_COMPARABLE not in one]:
-        title = "What must be known to compare them"
-        yield Section("throughput-remarks", title, (items(*rest),), plural(len(rest), "note"), folded=True)
+        yield to_compare("throughput", rest)
 
 
 def _costs(source: Source, results: list[GroupResult]) -> Iterator[Block]:
@@ -123,9 +124,7 @@ def _below(result: GroupResult) -> Iterable[str]:
 
 def _between_clocks(source: Source, results: list[GroupResult]) -> Iterator[str]:
     """What was timed, once for all groups of simulators of which that is true, or for the groups that differ."""
-    of_text: dict[str, list[GroupResult]] = {}
-    for result in results:
-        of_text.setdefault(result.metrics[FPS.name].of(Throughput).timing_covers, []).append(result)
+    of_text = gathered((result.metrics[FPS.name].of(Throughput).timing_covers, result) for result in results)
     texts = Counter(name for of in of_text.values() for name in {r.group.key.simulator for r in of})
     for text, of in of_text.items():
         if text:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Row, Section, Table, Tone, key_of, table
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import FEW, Reasons, of_groups
+from gpusimbench.evaluator.report.sections.rows import FEW, Reasons, of_groups, ordered
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.validity import BufferUse, Counted
@@ -56,8 +56,7 @@ def _deviating(source: Source, results: Sequence[GroupResult]) -> Iterator[Table
 
 
 def _by_simulator(results: Sequence[GroupResult]) -> Table:
-    names = dict.fromkeys(r.group.key.simulator for r in results)
-    rows = [_of_simulator(name, [r for r in results if r.group.key.simulator == name]) for name in names]
+    rows = [_of_simulator(*one) for one in ordered(results, "simulator").items()]
     rows.sort(key=lambda row: all(cell.tone is not Tone.BAD for cell in row.cells))  # what deviates comes first
     titles = ("simulator", "groups", "runs", "contacts counted", "fullest buffer", "overflow")
     return table("validity-simulators", "All groups, by simulator", titles, rows)

@@ -11,7 +11,6 @@ from gpusimbench.evaluator.render.numbers import NONE, distance_bound, mean_sd
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written, column_of, of_groups, value
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
 from gpusimbench.evaluator.results.details import (
     BetweenEnvs,
     BetweenRuns,
@@ -20,7 +19,15 @@ from gpusimbench.evaluator.results.details import (
     Equality,
     ToReference,
 )
-from gpusimbench.evaluator.results.group_metrics import LEFT_BOARD, REGIME, SANK, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.group_metrics import (
+    LEFT_BOARD,
+    REGIME,
+    SANK,
+    SUFFIX,
+    W1_PARALLEL,
+    W1_REAL,
+    W1_RUN_TO_RUN,
+)
 from gpusimbench.evaluator.results.identity_metrics import (
     DISTINCT_ENVS,
     DISTINCT_RUNS,

@@ -35,7 +35,7 @@ class Balance:
         self._mass = world.mass
         self._inertia = np.array([body.inertia for body in world.moving])
         self._reach = np.array([body.reach for body in world.moving])
-        floors = [body.surface.static for body in world.fixed if body.level]
+        floors = [body.surface.static for body in world.floors]
         self._friction = max([*floors, *(body.surface.static for body in world.moving)])
         window = min(_MOST_ROWS, max(1, math.ceil(_STORED / setting.row_time)))
         self._rises = Rises(world.restitution, window)
@@ -71,16 +71,12 @@ class Balance:
         step, of = weight * min(setting.fall, setting.limit), "M g^2 dt^2, and rounding"
         if setting.limit < setting.fall:
             of = f"M g times {SHARE:.0%} of the smallest body, and rounding"
-        start = {
-            Check.ENERGY_START: measured(
-                self._rises.above_start, low=None, high=0.0, tolerance=step + rounded,
-                of=of, note=setting.sparse,
-            )
-        }  # fmt: skip
+        above = measured(self._rises.above_start, tolerance=step + rounded, of=of, note=setting.sparse)
+        start = {Check.ENERGY_START: above}
         if setting.sparse:
             return {**start, **dict.fromkeys(_CHECKS[1:], Missing(setting.sparse))}
         slack = self._friction * weight * setting.dt
-        rise = measured(self._rises.unpaid, low=None, high=0.0, tolerance=step + rounded, of=of)
+        rise = measured(self._rises.unpaid, tolerance=step + rounded, of=of)
         return {
             **start,
             Check.ENERGY_ROW: rise,
@@ -90,24 +86,22 @@ class Balance:
 
     def _ground(self, slack: float) -> Facts:
         checks = (Check.CONE, Check.PULL)
-        if not any(body.level for body in self._setting.world.fixed):
+        if not self._setting.world.floors:
             return dict.fromkeys(checks, Missing("the scene has no level floor"))
         judged = self._cone.rows > 0
         if not judged.any():
             return dict.fromkeys(checks, Missing("no row has all bodies on level ground"))
         note = f"{plural(int(self._cone.rows.sum()), 'row')}, coefficient {self._friction:g}"
         return {
-            Check.CONE: measured(
-                self._cone.excess[judged], low=None, high=0.0, tolerance=slack, of="mu M g dt", note=note
-            ),
-            Check.PULL: measured(self._cone.pull[judged], low=None, high=0.0, tolerance=slack, of="mu M g dt"),
+            Check.CONE: measured(self._cone.excess[judged], tolerance=slack, of="mu M g dt", note=note),
+            Check.PULL: measured(self._cone.pull[judged], tolerance=slack, of="mu M g dt"),
         }
 
     def _displacement(self) -> Fact:
         slack = self._setting.slack(self._setting.fall, self._resolution, "g dt^2, and rounding")
         if isinstance(slack, Missing):
             return slack
-        return measured(self._displacements.largest, low=None, high=0.0, tolerance=slack.size, of=slack.of)
+        return measured(self._displacements.largest, tolerance=slack.size, of=slack.of)
 
     def _level_only(self, position: Array) -> Mask:
         clear = np.ones(position.shape[:2], dtype=bool)

@@ -85,9 +85,9 @@ class Depths:
             return dict.fromkeys(checks, coarse)
         slack = setting.capped(fastest * setting.dt + setting.fall, "sqrt(2 g H) dt + g dt^2")
         of, note = slack.of, setting.sparse
-        pair = measured(self._pair, low=None, high=0.0, tolerance=slack.size, of=of, note=note)
+        pair = measured(self._pair, tolerance=slack.size, of=of, note=note)
         return {
-            Check.DEPTH_EVER: measured(self._fixed, low=None, high=0.0, tolerance=slack.size, of=of, note=note),
+            Check.DEPTH_EVER: measured(self._fixed, tolerance=slack.size, of=of, note=note),
             Check.PAIR_EVER: pair if len(setting.world.moving) > 1 else _ALONE,
         }
 
@@ -112,13 +112,13 @@ class Depths:
         fixed: Fact = Missing("the scene has no fixed bodies")
         if self._setting.world.fixed:
             deepest = deep[still.any(axis=1)]
-            fixed = measured(deepest, low=None, high=0.0, tolerance=size, of=slack.of, note=note)
+            fixed = measured(deepest, tolerance=size, of=slack.of, note=note)
         pair: Fact = Missing("no two bodies of an environment are at rest at the end")
         if len(self._setting.world.moving) == 1:
             pair = _ALONE
         elif several.any():
             pairs = self._pairs_at_rest(end[0][several], turn[0][several], still[several])
-            pair = measured(pairs, low=None, high=0.0, tolerance=size, of=slack.of)
+            pair = measured(pairs, tolerance=size, of=slack.of)
         return {Check.DEPTH_REST: fixed, Check.PAIR_REST: pair}
 
     def _in_fixed(self, position: Array, turn: Array) -> Array:
@@ -204,25 +204,19 @@ def end_facts(setting: Setting, last: States) -> Facts:
     slowest = REST / max(setting.world.moving[i].reach for i in cubes)
     spins = f"{np.count_nonzero(spin > slowest)} of them spin"
     return {
-        Check.END_SPEED: measured(
-            speed.max(axis=1)[judged], low=None, high=0.0, tolerance=REST, of="1 cm/s", note=note
-        ),
-        Check.END_SPIN: measured(
-            spin.max(axis=1)[judged], low=None, high=0.0, tolerance=slowest, of="1 cm/s of a corner",
-            note=spins,
-        ),
-    }  # fmt: skip
+        Check.END_SPEED: measured(speed.max(axis=1)[judged], tolerance=REST, of="1 cm/s", note=note),
+        Check.END_SPIN: measured(spin.max(axis=1)[judged], tolerance=slowest, of="1 cm/s of a corner", note=spins),
+    }
 
 
 def _above_a_floor(setting: Setting, place: Array) -> Mask:
     # [env, cube]
     found = np.zeros(place.shape[:2], dtype=bool)
-    for floor in setting.world.fixed:
-        if floor.level:
-            above = place[..., 2] >= floor.top
-            if isinstance(floor.solid, FixedBox):
-                above &= largest(np.abs(floor.solid.local(place)[..., :2]) - floor.solid.half[:2]) <= 0
-            found |= above
+    for floor in setting.world.floors:
+        above = place[..., 2] >= floor.top
+        if isinstance(floor.solid, FixedBox):
+            above &= largest(np.abs(floor.solid.local(place)[..., :2]) - floor.solid.half[:2]) <= 0
+        found |= above
     return found
 
 

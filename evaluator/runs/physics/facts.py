@@ -174,15 +174,13 @@ class PhysicsFacts:
 
 
 def measured(
-    values: Iterable[float],
-    *,
-    low: float | None,
-    high: float | None,
-    tolerance: float,
-    of: str,
+    values: Iterable[float], *, low: float | None = None, high: float | None = 0.0, tolerance: float, of: str,
     note: str = "",
-) -> Fact:
-    """What a check found, from its values; values that are not finite count as broken."""
+) -> Fact:  # fmt: skip
+    """What a check found, from its values; values that are not finite count as broken.
+
+    low, high  what mechanics allows; by default an excess, which is at most zero
+    """
     found = [float(value) for value in values]
     finite = [value for value in found if abs(value) < float("inf")]
     if not found:

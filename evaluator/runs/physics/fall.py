@@ -58,7 +58,7 @@ def _falling(setting: Setting, fall: Fall, rows: int) -> Facts:
             of="rounding of every step", note=_method(float(method.mean())),
         ),
         Check.FALL_SHAPE: shape if isinstance(shape, Missing) else measured(
-            deformation(states.position), low=None, high=0.0, tolerance=shape.size, of=shape.of
+            deformation(states.position), tolerance=shape.size, of=shape.of
         ),
     }  # fmt: skip
 

@@ -18,7 +18,7 @@ from gpusimbench.evaluator.runs.outcome import joint_fields, positional
 from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, measured
 from gpusimbench.evaluator.runs.physics.states import drawn_envs
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import damage_in
 from gpusimbench.schemas.fields import StateField
 
 Array = npt.NDArray[np.float64]
@@ -64,9 +64,8 @@ def _beyond(recording: Recording, limits: tuple[Limits, ...] | Missing) -> Fact:
         beyond += deepest.tolist()
     fastest = max(speed for _, _, _, speed in limits)
     return measured(
-        beyond, low=None, high=0.0, tolerance=fastest * recording.configuration.dt,
-        of="largest published joint speed, times dt",
-    )  # fmt: skip
+        beyond, tolerance=fastest * recording.configuration.dt, of="largest published joint speed, times dt"
+    )
 
 
 def _rows(array: StateArray, envs: Envs) -> Iterator[Array]:
@@ -81,7 +80,7 @@ def limits_of(recording: Recording) -> tuple[Limits, ...] | Missing:
     DamagedRecording where the scene is unreadable.
     """
     fields = [field for field in joint_fields(recording.fields) if field.field == "qpos"]
-    try:
+    with damage_in(recording.path):
         links = checks.objects(checks.mapping(recording.scene, "robot"), "links")
         joints = [checks.mapping(link, "joint") for link in links if link.get("joint") is not None]
         named = {checks.text(joint, "name"): joint for joint in joints}
@@ -90,8 +89,6 @@ def limits_of(recording: Recording) -> tuple[Limits, ...] | Missing:
         if any(item not in named for field in fields for item in field.items):
             return Missing("scene.json does not describe every joint with its limits")
         return tuple((field, *_limits([named[item] for item in field.items])) for field in fields)
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None
 
 
 def _limits(joints: Sequence[dict[str, Any]]) -> tuple[Array, Array, float]:

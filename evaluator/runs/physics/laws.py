@@ -13,7 +13,7 @@ from gpusimbench.evaluator.runs.physics.canonical.four_bar import four_bar_laws
 from gpusimbench.evaluator.runs.physics.canonical.free_body import free_body_laws
 from gpusimbench.evaluator.runs.physics.canonical.pendulum import double_pendulum_laws, pendulum_laws
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import damage_in
 from gpusimbench.schemas.provenance import REAL
 
 _LAWS: dict[str, Callable[[Recording], tuple[LawValues | LawCounts, ...] | Missing]] = {
@@ -44,7 +44,5 @@ def laws_of(recording: Recording) -> tuple[LawValues | LawCounts, ...] | Missing
     kept = _KEPT - {"mass"} if c.scene in _RATIOS else _KEPT
     if c.vary and {part.partition(":")[0] for part in c.vary.split(",")} - kept:
         return Missing(f"environments have other parameters than the scene (--vary {c.vary})")
-    try:
+    with damage_in(recording.path):
         return _LAWS[c.scene](recording)
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None

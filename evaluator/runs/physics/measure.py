@@ -20,7 +20,7 @@ from gpusimbench.evaluator.runs.physics.states import States, Walk, drawn_envs
 from gpusimbench.evaluator.runs.physics.world import world_of
 from gpusimbench.evaluator.runs.positions import no_states
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import damage_in
 from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.treatment import Intervention
 
@@ -168,7 +168,5 @@ def _sank(found: Sunk | Missing) -> Fact:
 
 
 def _sample_time(recording: Recording) -> float:
-    try:
+    with damage_in(recording.path):
         return checks.number(recording.scene, "sample_time", 0.0, _LONGEST)
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None

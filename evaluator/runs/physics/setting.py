@@ -110,7 +110,7 @@ class Setting:
         spread = drawn(self.initial)
         if spread is None and (otherwise := self.begun_otherwise) is not None:
             return otherwise
-        tops = [body.top for body in self.world.fixed if body.level]
+        tops = [body.top for body in self.world.floors]
         if not tops:
             return Missing("the scene has no level floor")
         highest = max(body.start[2] for body in self.world.moving)

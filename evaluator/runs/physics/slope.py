@@ -69,8 +69,8 @@ def slope_facts(setting: Setting) -> Facts:
             high=way.foot_speed, tolerance=way.foot_speed * share, of="v dt / T",
         ),
         Check.SLIP: measured(
-            way.slip(linear[window], angular[window]).max(axis=0), low=None, high=0.0,
-            tolerance=way.steepest * setting.dt, of="g sin(angle) dt",
+            way.slip(linear[window], angular[window]).max(axis=0), tolerance=way.steepest * setting.dt,
+            of="g sin(angle) dt",
         ),
     }  # fmt: skip
 
@@ -103,7 +103,7 @@ class Slides:
         self._cubes = [i for i, body in enumerate(bodies) if body.half]
         self._reach = np.array([body.reach for body in bodies])
         self._half = np.array([bodies[i].half for i in self._cubes])
-        self._floors = [body for body in setting.world.fixed if body.level]
+        self._floors = setting.world.floors
         pairs = [(bodies[i].surface.kinetic, floor.surface.kinetic) for i in self._cubes for floor in self._floors]
         self._bounds = min((min(pair) for pair in pairs), default=0.0), max((max(pair) for pair in pairs), default=0.0)
         self._stretches: Stretches | None = None

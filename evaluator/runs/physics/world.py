@@ -14,7 +14,7 @@ from gpusimbench.evaluator.metrics.physics.solids import Fixed, FixedBox, HalfSp
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, damage_in
 
 Array = npt.NDArray[np.float64]
 
@@ -119,7 +119,7 @@ def world_of(recording: Recording, items: Sequence[tuple[str, str]]) -> World | 
 
     Raises DamagedRecording where the scene is unreadable.
     """
-    try:
+    with damage_in(recording.path):
         scene = recording.scene
         if "gravity" not in scene or "bodies" not in scene:
             return Missing("the recording has no scene with gravity and bodies")
@@ -146,8 +146,6 @@ def world_of(recording: Recording, items: Sequence[tuple[str, str]]) -> World | 
         parameters = checks.mapping(scene, "parameters") if "parameters" in scene else {}
         rebounds = parameters.get("restitution_known") is not False
         return World(tuple(moving), tuple(fixed), -z, rebounds)
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None
 
 
 def _moving(name: str, body: dict[str, Any]) -> Moving | Missing:

@@ -36,6 +36,7 @@ from gpusimbench.evaluator.runs.groups import shown_status
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.citation import HUB_NAMES, Publication, quoted
 from gpusimbench.evaluator.share.dataset.contents import LookedAt, runs_of
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import cut, plural
 
 CARD = "README.md"
@@ -126,8 +127,7 @@ def card_document(
         blocks.append(
             Section("problems", "Problems", (said, table("problem-files", "", ("file", "what", "why"), rows)))
         )
-    for scene in dict.fromkeys(r.group.key.scene for r in results):
-        blocks.append(_scene(scene, [r for r in results if r.group.key.scene == scene]))
+    blocks += [_scene(*one) for one in gathered((r.group.key.scene, r) for r in results).items()]
     blocks += [
         Section("reading", "How to read the tables", (_legend(results, evaluation.sample_time),)),
         Section("recorded", "How it was recorded", tuple(_recorded(held))),

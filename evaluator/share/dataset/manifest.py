@@ -23,7 +23,7 @@ from gpusimbench.evaluator.share.dataset.contents import (
     why_not,
 )
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, damage_in
 
 MANIFEST = "manifest.json"
 SCHEMA_VERSION = 2
@@ -160,7 +160,7 @@ def load_manifest(data: bytes, *, older: bool = False) -> Manifest:
             f"{MANIFEST} has schema version {json.dumps(version)[:20]}, and {SCHEMA_VERSION} is known here: use the "
             "version of gpusimbench that wrote it, or write it anew with this one: gsb-share card --update"
         )
-    try:
+    with damage_in(MANIFEST):
         manifest = Manifest(
             title=checks.text(record, "title"),
             licence=checks.text(record, "licence"),
@@ -170,8 +170,6 @@ def load_manifest(data: bytes, *, older: bool = False) -> Manifest:
             files=tuple(_entry(one) for one in _few(record, "files")),
             written=tuple(_entry(one) for one in _few(record, "written")),
         )
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{MANIFEST}: {error}") from None
     _check_paths([file.path for file in (*manifest.files, *manifest.written)])
     return manifest
 

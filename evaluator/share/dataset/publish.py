@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import re
 import socket
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.share.dataset.card import CARD, KEYWORDS, card
 from gpusimbench.evaluator.share.dataset.citation import CITATION, OWN, Publication, citation
 from gpusimbench.evaluator.share.dataset.contents import (
+    DAMAGED,
     Found,
     LookedAt,
     Sum,
@@ -63,6 +65,7 @@ DESCRIBING = (CARD, CITATION, METRICS, RUNS)
 OURS = (*DESCRIBING, MANIFEST, CHECKSUMS)
 
 _MOST_NAMED = 5
+_MOST_PERSONAL = 10
 
 
 @dataclass(frozen=True)
@@ -280,3 +283,29 @@ def _is_there(path: Path, data: bytes) -> bool:
         return path.exists() and path.read_bytes() == data
     except OSError as error:
         raise GsbError(f"cannot read {path}: {error.strerror}") from None
+
+
+def published_lines(published: Published) -> Iterator[str]:
+    """What was written."""
+    manifest = published.manifest
+    outcomes = Counter(one.checkup.outcome for one in published.looked_at)
+    groups = len(published.evaluation.results)
+    yield (
+        f"{plural(len(manifest.recordings), 'recording')} in {plural(groups, 'group')}, "
+        f"{sum(file.sum.bytes for file in manifest.files) / 1e6:.1f} MB: "
+        + ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items(), key=lambda item: -item[1]))
+    )
+    yield f"content of all recordings: sha256 {manifest.identity}"
+    yield f"written: {', '.join(published.written)}" if published.written else "nothing to write: all is as it would be"
+
+
+def warnings_of(published: Published) -> Iterator[str]:
+    """What a publisher has to know before anybody else does."""
+    for file in published.looked_at:
+        if file.checkup.outcome == DAMAGED:
+            yield f"{file.name} is damaged, and named as such: {'; '.join(file.checkup.findings)}"
+    found = Counter(one for some in published.personal.values() for one in some)
+    for one, count in list(found.items())[:_MOST_PERSONAL]:
+        yield f"look before you publish: {plural(count, 'recording')} with a {one.what}, {one.text}, in {one.where}"
+    if len(found) > _MOST_PERSONAL:
+        yield f"and {len(found) - _MOST_PERSONAL} more of this kind"

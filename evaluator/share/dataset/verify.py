@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from enum import Enum
 from pathlib import Path
 
+from gpusimbench.evaluator.json_values import document_of, dump, picked
 from gpusimbench.evaluator.report.parquet import METRICS, RUNS, frames, polars
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.share.dataset.card import CARD
@@ -36,6 +38,7 @@ from gpusimbench.evaluator.share.dataset.manifest import (
 from gpusimbench.evaluator.share.dataset.places import SetPlace, place_of
 from gpusimbench.evaluator.share.dataset.publish import DESCRIBING, entries_of, table_sums
 from gpusimbench.evaluator.share.dataset.tables import compare_table
+from gpusimbench.schemas import __version__
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, GsbError, Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place
@@ -43,6 +46,7 @@ from gpusimbench.schemas.text import cut, plural
 
 _SUMS_BYTES = 16 << 20
 _LONGEST = 80
+_MOST_FINDINGS = 200
 _GB = 1e9
 
 
@@ -282,3 +286,49 @@ class _Verifier:
                     self._add(Kind.DISAGREES, file.path, sentence)
                 if not different:
                     self._tables.append(file.path)
+
+
+def verification_lines(verification: Verification) -> Iterator[str]:
+    """Everything that was found, and what it comes to."""
+    manifest = verification.manifest
+    yield (
+        f"{manifest.title}: {plural(len(manifest.sums) + 2, 'file')}, {plural(len(manifest.recordings), 'recording')}, "
+        f"licence {manifest.licence}, written by gpusimbench {manifest.written_by.get('gpusimbench', '?')}"
+    )
+    for finding in verification.findings[:_MOST_FINDINGS]:
+        yield f"  {finding.kind.word}: {finding.path}: {finding.said}"
+    if (more := len(verification.findings) - _MOST_FINDINGS) > 0:
+        yield f"  and {more} more findings"
+    for what in verification.unchecked:
+        yield f"  not looked at: {what}"
+    if verification.findings:
+        kinds = Counter(finding.kind.word for finding in verification.findings)
+        yield "NOT as its manifest says: " + ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+        theirs = manifest.written_by.get("gpusimbench", "")
+        if theirs and theirs != __version__:
+            yield f"it was written by gpusimbench {theirs}; {__version__}, which is used here, may compute otherwise"
+        return
+    yield (
+        f"{verification.bytes / 1e6:.1f} MB have the digests of manifest.json and SHA256SUMS; "
+        f"{plural(verification.recordings, 'recording')} have their content hashes and keep the rules of integrity-1; "
+        f"every value of {' and '.join(verification.tables)} follows from them"
+        if verification.recordings
+        else "there is no recording in it: nothing to verify"
+    )
+
+
+def dump_verification(verification: Verification) -> str:
+    """A JSON document."""
+    manifest = verification.manifest
+    return dump(document_of({
+        "gpusimbench": __version__,
+        "exit_code": int(verification.exit_code),
+        **picked(manifest, "title licence written_by"),
+        "content_sha256": manifest.identity,
+        "n_file": len(manifest.sums) + 2,
+        "n_recording": verification.recordings,
+        **picked(verification, "bytes fetched_bytes"),
+        "tables": list(verification.tables),
+        "findings": [{"kind": f.kind.word, "file": f.path, "said": f.said} for f in verification.findings],
+        "not_looked_at": list(verification.unchecked),
+    }))  # fmt: skip

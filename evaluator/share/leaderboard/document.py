@@ -32,6 +32,7 @@ from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.share.leaderboard import formats
 from gpusimbench.evaluator.share.leaderboard.standing import ELSEWHERE, Board, Section
 from gpusimbench.evaluator.share.leaderboard.standing import Row as Standing
+from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import cut, plural
 
 _LEAD = (
@@ -106,10 +107,7 @@ def _equals(row: Standing) -> tuple[str, ...]:
 
 def _barred(section: Section) -> Cell:
     """Simulators with rows that something speaks against, and what; an untimed row or an instrument is no fault."""
-    found: dict[str, list[str]] = {}
-    for row in section.unranked:
-        if _is_fault(row):
-            found.setdefault(row.key.simulator, []).append(_in_short(row.place_missing))
+    found = gathered((row.key.simulator, _in_short(row.place_missing)) for row in section.unranked if _is_fault(row))
     told = (
         f"{name} ({plural(len(reasons), 'row')}): {'; '.join(dict.fromkeys(reasons))}"
         for name, reasons in found.items()

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.numbers import ranked
 from gpusimbench.evaluator.render.table_files import CsvCell, to_csv
 from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.report.evidence_json import estimate_record
+from gpusimbench.evaluator.report.json import estimate_record
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.share.dataset.contents import BROKEN
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction

@@ -16,13 +16,13 @@ from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, sweep_key
-from gpusimbench.evaluator.results.timed_work import Window
 from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, shown_status
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.contents import BROKEN, Checkup
 from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reproduction, reproduction
 from gpusimbench.schemas.configuration import TELLING, Settings, deciding
 from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.gathering import gathered
 
 ELSEWHERE = "the same engine elsewhere"
 """What a reason begins with that is from another row of the same engine."""
@@ -164,10 +164,7 @@ def sections(
 
 def _by_window(rows: Sequence[Row]) -> list[list[Row]]:
     """Rows that were timed over the same steps, the steps that most were timed over first."""
-    found: dict[tuple[Window, ...], list[Row]] = {}
-    for row in rows:
-        if row.result.timed.windows:
-            found.setdefault(row.result.timed.windows, []).append(row)
+    found = gathered((row.result.timed.windows, row) for row in rows if row.result.timed.windows)
     parts = sorted(found.values(), key=len, reverse=True) or [[]]
     parts[0] += [row for row in rows if not row.result.timed.windows]
     return parts

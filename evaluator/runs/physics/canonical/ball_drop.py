@@ -11,9 +11,9 @@ from gpusimbench.evaluator.metrics.physics.closed_form import falling_time
 from gpusimbench.evaluator.metrics.physics.falling import bounce
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of, unevenness
+from gpusimbench.evaluator.runs.physics.canonical.motion import shaped, unevenness
 from gpusimbench.evaluator.runs.physics.facts import LawValues
-from gpusimbench.evaluator.runs.physics.world import Moving, world_of
+from gpusimbench.evaluator.runs.physics.world import Moving
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.text import ordinal
 
@@ -24,13 +24,10 @@ _NO_BOUNCE = "the ball's first bounce was not recorded from flight to flight"
 
 def ball_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
     """The laws, or why none can be measured."""
-    read = bodies_of(recording)
+    read = shaped(recording)
     if isinstance(read, Missing):
         return read
-    walk, states, time = read
-    world = world_of(recording, walk.items)
-    if isinstance(world, Missing):
-        return world
+    world, states, time = read
     if states.linear is None:
         return Missing("velocities of the balls were not recorded")
     if recording.configuration.stride > 1:

@@ -11,9 +11,9 @@ from gpusimbench.evaluator.metrics.physics.closed_form import sliding_accelerati
 from gpusimbench.evaluator.metrics.physics.solids import rotations
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.canonical.motion import bodies_of
+from gpusimbench.evaluator.runs.physics.canonical.motion import shaped
 from gpusimbench.evaluator.runs.physics.facts import LawValues
-from gpusimbench.evaluator.runs.physics.world import Moving, world_of
+from gpusimbench.evaluator.runs.physics.world import Moving
 
 Array = npt.NDArray[np.float64]
 
@@ -25,13 +25,10 @@ _FEWEST = 5  # rows of a fit
 
 def block_laws(recording: Recording) -> tuple[LawValues, ...] | Missing:
     """The laws, or why none can be measured."""
-    read = bodies_of(recording)
+    read = shaped(recording)
     if isinstance(read, Missing):
         return read
-    walk, states, time = read
-    world = world_of(recording, walk.items)
-    if isinstance(world, Missing):
-        return world
+    world, states, time = read
     if states.linear is None or states.orientation is None:
         return Missing("velocities and orientations of the blocks were not both recorded")
     if int(np.searchsorted(time, _SETTLED)) + _FEWEST >= len(time):

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.states import States, Walk, drawn_envs
+from gpusimbench.evaluator.runs.physics.world import World, world_of
 from gpusimbench.evaluator.statistics.cases import variation
 
 Array = npt.NDArray[np.float64]
@@ -44,17 +45,25 @@ def joints_of(recording: Recording) -> tuple[Array, Array, Array] | Missing:
     return angles.steps[:].astype(np.float64) * recording.configuration.dt, angle, speed
 
 
+def shaped(recording: Recording) -> tuple[World, States, Array] | Missing:
+    """The world, and states and time as of `bodies_of`; Missing also where a body is neither a ball nor a cube."""
+    read = bodies_of(recording)
+    if isinstance(read, Missing):
+        return read
+    walk, states, time = read
+    world = world_of(recording, walk.items)
+    return world if isinstance(world, Missing) else (world, states, time)
+
+
 def bodies_of(recording: Recording) -> tuple[Walk, States, Array] | Missing:
     """Names, states and time [row] since the first, of moving bodies in environments that are looked at."""
     walk = Walk(recording, _drawn(recording))
     if len(walk) > 1 and len(walk) * _count(recording) * len(walk.items) > _MOST_NUMBERS:
         return _MANY
     states = _states(walk, 0)
-    return (
-        states
-        if isinstance(states, Missing)
-        else (walk, states, (states.step - states.step[0]) * recording.configuration.dt)
-    )
+    if isinstance(states, Missing):
+        return states
+    return walk, states, (states.step - states.step[0]) * recording.configuration.dt
 
 
 def ending_of(recording: Recording) -> tuple[Walk, States] | Missing:
