@@ -29,6 +29,7 @@ class Bare(Built):
             static_argnums=1,
             donate_argnums=0,
         )
+        self._compiled: dict[int, Any] = {}  # by the number of steps
 
     def step(self, first_step: int, n_step: int) -> float:
         """See Loop.step."""
@@ -38,9 +39,10 @@ class Bare(Built):
             return 0.0
         counted = self.simulator._state
         state = counted.state
-        compiled = self._rollout.lower(state, n_step).compile()
+        if n_step not in self._compiled:
+            self._compiled[n_step] = self._rollout.lower(state, n_step).compile()
         began = time.perf_counter()
-        stepped = jax.block_until_ready(compiled(state))
+        stepped = jax.block_until_ready(self._compiled[n_step](state))
         elapsed_s = time.perf_counter() - began
         self.simulator._state = counted._replace(state=stepped)
         return elapsed_s

@@ -45,6 +45,7 @@ class Bare(Loop):
             return jax.lax.scan(body, data, ctrls, length=n_step)[0]
 
         self._rollout = jax.jit(rollout, static_argnums=2, donate_argnums=0)
+        self._compiled: dict[int, Any] = {}  # by the number of steps
 
     def step(self, first_step: int, n_step: int) -> float:
         """See Loop.step."""
@@ -54,9 +55,10 @@ class Bare(Loop):
             return 0.0
         drawn = self._work.actions(first_step, n_step)
         actions = None if drawn is None else jax.block_until_ready(jax.device_put(drawn, self._device))
-        compiled = self._rollout.lower(self._state, actions, n_step).compile()
+        if n_step not in self._compiled:
+            self._compiled[n_step] = self._rollout.lower(self._state, actions, n_step).compile()
         began = time.perf_counter()
-        self._state = jax.block_until_ready(compiled(self._state, actions))
+        self._state = jax.block_until_ready(self._compiled[n_step](self._state, actions))
         return time.perf_counter() - began
 
     def state(self) -> States:

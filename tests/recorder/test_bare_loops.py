@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.engine_best import BARE, bare, recorded
+from benchmarks.engine_best import BARE, WARMUP, bare, recorded
 from gpusimbench.recorder.environments.store import find
 from gpusimbench.recorder.simulators.registry import find_simulator
 
@@ -22,7 +22,8 @@ def test_the_bare_loop_does_the_work_of_the_recording(simulator: str, tmp_path: 
     """Reach the states of the recording's timed phase with its actions, in a process without the recorder's loop."""
     if find_simulator(simulator).missing() and find(simulator) is None:
         pytest.skip(f"{simulator} is not installed, and no environment is set up")
-    recording = recorded(simulator, SCENES[simulator], tmp_path, n_env=N_ENV, steps=4, options=[])
+    # as many steps as the warm-up has: loops on JAX compile a program for each number of steps
+    recording = recorded(simulator, SCENES[simulator], tmp_path, n_env=N_ENV, steps=WARMUP, options=[])
     done = bare(recording, tmp_path)
     assert done.same_states == N_ENV
     assert done.env_steps_per_s > 0
