@@ -10,11 +10,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.recorder.scenes.base import IDENTITY
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco import model as model_module
 from gpusimbench.recorder.simulators.mujoco import worlds
 from gpusimbench.schemas.errors import UsageError
+from tests.conftest import call
 from tests.recorder import engines
 from tests.recorder.engines import field
 
@@ -99,6 +101,49 @@ def test_a_warning_is_a_gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     (fired,) = simulator.gates()
     assert "mjWARN_BADQ" in fired
     assert simulator.gates() == []
+
+
+FALLING = """
+<mujoco model="falling"><size memory="{memory}"/><option timestep="0.002"/><worldbody><geom type="plane" size="2 2 .1"/>
+<body pos="0 0 .20"><freejoint/><geom type="box" size=".05 .05 .05"/></body>
+<body pos="0 0 .31"><freejoint/><geom type="box" size=".05 .05 .05"/></body>
+<body pos="0 0 .42"><freejoint/><geom type="box" size=".05 .05 .05"/></body>
+<body pos="0 0 .53"><freejoint/><geom type="box" size=".05 .05 .05"/></body></worldbody></mujoco>
+"""
+
+
+def _steps_that_drop(xml: str, n_step: int) -> dict[str, list[int]]:
+    """By mj_step called by hand: the steps after which MuJoCo had counted another lack of room, by kind, if any."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    found: dict[str, list[int]] = {}
+    for step in range(1, n_step + 1):
+        before = data.warning.number.copy()
+        mujoco.mj_step(model, data)
+        for kind in (mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL):
+            if data.warning[kind].number > before[kind]:
+                found.setdefault(kind.name, []).append(step)
+    return found
+
+
+@pytest.mark.parametrize(("memory", "stepping"), [("16K", "batch"), ("16K", "mj_step"), ("1M", "batch")])
+def test_dropped_constraints_are_told(memory: str, stepping: str, tmp_path: Path) -> None:
+    """Tell at which steps MuJoCo's memory was too small, as MuJoCo's own counters do, and where it never was."""
+    (tmp_path / "falling.xml").write_text(FALLING.format(memory=memory))
+    dropping = _steps_that_drop(FALLING.format(memory=memory), 200)
+    small = memory == "16K"
+    assert len(dropping) == (2 if small else 0)
+    asked = ("--model", "falling.xml", "--n-env", "2", "--runs", "1", "--phases", "capture", "--steps", "200")
+    options = ("--option", f"stepping={stepping}", "--out", "out")
+    said = call("gsb-record", "--sim", "mujoco", *asked, *options, cwd=tmp_path, code=1 if small else 0)
+    (path,) = (tmp_path / "out").glob("*.mcap")
+    (result,) = evaluate_files([path]).results
+    assert result.validity.overflow_told.yes != small  # asked of complete runs
+    assert result.validity.overflow is not None
+    fired = {seen.name: (seen.fatal, seen.first_step, seen.rows, seen.envs) for seen in result.validity.overflow}
+    assert fired == {name: (True, steps[0], len(steps), 2) for name, steps in dropping.items()}
+    assert ("buffer overflow mjWARN_CNSTRFULL in 2 of 2 envs" in said.stderr) == small
+    assert "MuJoCo warning" not in said.stderr
 
 
 def test_options_are_those_in_force() -> None:

@@ -21,8 +21,12 @@ from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, 
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.schemas.imported import Imported
+from gpusimbench.schemas.provenance import OverflowBit
 
 STEPPING = ("auto", "batch", "mj_step")
+
+_DROPPED = ("mjWARN_CONTACTFULL", "mjWARN_CNSTRFULL")
+"""Warnings that say that contacts or constraints found no room; MuJoCo goes on without them."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,8 @@ class MujocoC(Simulator):
         self._counts: NDArray[np.int64] | None = None  # of the last states; None: to be counted when asked
         self._warned = np.zeros((self.n_env, len(self._warnings)), dtype=np.int64)
         self._risen = np.zeros_like(self._warned)  # since gates were asked
+        self._dropping = np.zeros_like(self._warned)  # since the last row of overflow bits
+        self._overflow: NDArray[np.uint32] | None = None  # of the steps that _counts has
         self._actions: NDArray[np.float32] | None = None
         self._next_action = 0
         self._made = 0  # steps since the build
@@ -86,6 +92,7 @@ class MujocoC(Simulator):
             timing_covers=self._worlds.timing_covers,
             attachments=compiled.attachments,
             counters=(CONTACTS, CONSTRAINT_ROWS),
+            overflow_bits=tuple(OverflowBit(bit, name, fatal=True) for bit, name in enumerate(_DROPPED)),
         )
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
@@ -187,13 +194,14 @@ class MujocoC(Simulator):
         model = self._compiled.model
         qpos = np.empty((n_step, self.n_env, model.nq))
         qvel = np.empty((n_step, self.n_env, model.nv))
-        counts = []
+        counts, overflow = [], []
         for k in range(n_step):
             self.step(1)
             qpos[k] = self._worlds.read("qpos")
             qvel[k] = self._worlds.read("qvel")
             counts.append(self._count())
-        self._counts = np.concatenate(counts)
+            overflow.append(self._dropped())
+        self._counts, self._overflow = np.concatenate(counts), np.concatenate(overflow)
         return self._compiled.split(qpos, qvel)
 
     def _count(self) -> NDArray[np.int64]:
@@ -203,22 +211,33 @@ class MujocoC(Simulator):
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence."""
-        counts = self._count() if self._counts is None else self._counts
-        return Evidence({CONTACTS.name: counts[:, 0], CONSTRAINT_ROWS.name: counts[:, 1]})
+        if self._counts is None or self._overflow is None:
+            counts, overflow = self._count(), self._dropped()
+        else:
+            counts, overflow = self._counts, self._overflow
+        return Evidence({CONTACTS.name: counts[:, 0], CONSTRAINT_ROWS.name: counts[:, 1]}, overflow)
+
+    def _dropped(self) -> NDArray[np.uint32]:
+        # [row, env]: overflow bits of the steps since the last row
+        self._count_warnings()
+        risen, self._dropping = self._dropping, np.zeros_like(self._dropping)
+        bits = sum((risen[:, self._warnings.index(name)] > 0) << bit for bit, name in enumerate(_DROPPED))
+        return np.asarray(bits, np.uint32)[None]
 
     def gates(self) -> list[str]:
-        """See Simulator.gates; every MuJoCo warning is a gate."""
+        """See Simulator.gates; every MuJoCo warning is a gate, but those that are overflow bits."""
         self._count_warnings()
         risen, self._risen = self._risen, np.zeros_like(self._risen)
         fired = []
-        for kind in range(risen.shape[1]):
+        for kind, name in enumerate(self._warnings):
             envs = np.flatnonzero(risen[:, kind])
-            if envs.size:
-                name = self._warnings[kind]
+            if envs.size and name not in _DROPPED:
                 fired.append(f"MuJoCo warning {name}: {int(risen[:, kind].sum())} times, first in env {envs[0]}")
         return fired
 
     def _count_warnings(self) -> None:
         counts = self._worlds.warnings()
-        self._risen += np.maximum(counts - self._warned, 0)  # releases without autoreset="disable" clear counters
+        risen = np.maximum(counts - self._warned, 0)  # releases without autoreset="disable" clear counters
+        self._risen += risen
+        self._dropping += risen
         self._warned = counts
