@@ -158,7 +158,11 @@ def test_an_original_that_did_not_come_out_again(five: list[Recording]) -> None:
         audit = judge_replays(originals, made(five[1:2]), (five[1],), max_ulps=4)
         assert audit.verdict is not None
         assert [rung.holds for rung in audit.verdict.rungs] == rungs
-        assert lines(audit)[0].startswith(said)
+        text = lines(audit)
+        assert text[0].startswith(said)
+        for rung in audit.verdict.rungs:  # a level that follows from the one reached is not said
+            shown = any(line.endswith(f" {rung.level.value}: {rung.said}") for line in text)
+            assert shown == (rung.holds is not True or rung.level is audit.verdict.level)
 
 
 def test_settings_are_cut_and_counted(five: list[Recording]) -> None:
