@@ -279,3 +279,22 @@ def test_a_file_that_was_packed_without_its_schema_is_recovered_with_one(
     newer.file[0].message_type[0].field.add(name="later", number=999, type=3, label=1)
     for stored in (newer.SerializeToString(), b"\xff no schema", bytes(2 << 20)):
         assert widened_schema("gsb.v1.StateBlock", stored) == stored
+
+
+@pytest.mark.parametrize(
+    ("path", "rule"),
+    [
+        ("recordings/h200/genesis-inclined-collision-n16-r0.mcap", "crc-present"),
+        ("tests/hostile/found/summary-count.mcap", "summary"),
+        ("tests/hostile/found/summary-chunk-moved.mcap", "summary"),
+        ("tests/hostile/found/summary-without-attachment.mcap", "summary"),
+    ],
+)
+def test_packing_mends_what_the_rules_say_that_it_mends(path: str, rule: str, tmp_path: Path) -> None:
+    """Break no rule any more whose advice is to pack the file."""
+    assert share("pack", ROOT / path, "--out", tmp_path / "packed").returncode == 0
+    found = []
+    for file in (ROOT / path, tmp_path / "packed" / Path(path).name):
+        findings = json.loads(call("gsb-check", file, "--json", "-").stdout)["findings"]
+        found.append({one["rule"] for one in findings if "gsb-share pack" in one["do"]})
+    assert found == [{rule}, set()]
