@@ -293,6 +293,13 @@ def _episodes(counts: EpisodeCounts) -> str:
     return f"{said}; {counts.cut:,} cut by a reset or the end of the recording"
 
 
+def _items(simulation: Simulation | None) -> dict[str, tuple[str, ...]]:
+    """The names of the bodies or joints of each group of states."""
+    return {
+        field.name.partition("/")[0]: field.items for field in (simulation.fields if simulation else ()) if field.items
+    }
+
+
 def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
     recorded = [array for array in found.arrays if array.shape[0]]
     if recorded:
@@ -304,6 +311,8 @@ def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
         failing = found.provenance is not None and found.provenance.configuration.keep
         fields = ", ".join(array.name for array in found.arrays)
         yield "states", ONLY_FAILING if failing else f"none; {fields} could be captured"
+    for group, items in _items(found.simulation).items():
+        yield "names", f"{group}: {', '.join(items)}"
     if found.episodes is not None:
         yield "episodes", _episodes(found.episodes)
     if found.program:

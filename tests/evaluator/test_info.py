@@ -48,7 +48,8 @@ def test_what_is_said_of_a_run(gsb_info: Command, small: Path) -> None:
         "inclined-collision", "4 environments, dt 0.01 s, seed 0", "10 warm-up and 20 timed steps", "cone=", "machine",
         "cubes/position ", "101x4x27x3", "unit quaternion", "4 x 20 steps, from step", "host: baseline",
         "capture at 101 steps",
-        "intervals x steps: ", "scene.json", "precision=float64", "baseline ",
+        "intervals x steps: ", "scene.json", "precision=float64", "baseline ", "names        ball: ball\n",
+        "cubes: cube_0_0_0, cube_0_0_1, ",
     ):  # fmt: skip
         assert text in done.stdout, text
     assert len(done.stdout.splitlines()) <= 60
