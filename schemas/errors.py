@@ -73,7 +73,7 @@ class FailedCrc(DamagedRecording):
 
 @contextmanager
 def damage_in(place: object) -> Iterator[None]:
-    """Say before the message of a DamagedRecording in which file, or part of a file, the damage is."""
+    """Put `place`, the file or part of a file with the damage, before the message of a DamagedRecording."""
     try:
         yield
     except DamagedRecording as error:

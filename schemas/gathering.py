@@ -1,4 +1,4 @@
-"""Things that belong together, by what they have in common."""
+"""Values grouped by key."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _V = TypeVar("_V")
 
 
 def gathered(pairs: Iterable[tuple[_K, _V]]) -> dict[_K, list[_V]]:
-    """The values of each key; keys and values in the order in which they come."""
+    """The values of each key, as a list; keys and values keep the order of `pairs`."""
     found: dict[_K, list[_V]] = {}
     for key, value in pairs:
         found.setdefault(key, []).append(value)

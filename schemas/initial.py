@@ -1,7 +1,7 @@
 """How the environments of a run begin: in states that are drawn for each, or in states that are given.
 
-It is a short text in a RunConfiguration. A probe asks whether results depend on what should not matter by runs that
-begin otherwise, have other parameters, or are intervened in (schemas.treatment).
+A RunConfiguration has this as a short text. To find out whether results depend on conditions that should not matter,
+gsb-probe records runs that begin in other states, have other parameters, or are intervened in (schemas.treatment).
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 MOST_SPREAD = 3.0
-"""Of initial states [m/s or rad]."""
+"""Largest spread of drawn initial states [m/s or rad]."""
 
 GIVEN = "initial.npz"
 """Attachment with the states that a run was given to begin with, as of schemas.arrays."""
 
 AXES = ("x", "y", "xy")
-"""Whose signs change in mirror images (schemas.mirror): in the planes x = 0 and y = 0, and by a half turn about z."""
+"""Coordinates whose signs change in mirror images (schemas.mirror): x in the plane x = 0, y in the plane y = 0, and
+both by a half turn about z."""
 
 _NUMBER = r"[0-9.eE+-]+"
 _INITIAL = re.compile(rf"random:(?P<spread>{_NUMBER})(?:,(?P<kind>[a-z]+):(?P<value>[a-z0-9]{{1,8}}))?")

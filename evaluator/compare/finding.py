@@ -176,10 +176,10 @@ def not_compared(axis: Axis, name: str, title: str, why: str, *, applies: bool =
 
 
 def either_way(tested: Finding, *, falls: bool, rises: bool, beyond: bool = False) -> tuple[Finding, Finding]:
-    """What is found where p is significant, and where it is not.
+    """Two findings: one for a significant p, one for a p that is not significant.
 
-    falls, rises  whether the interval holds so large a change downwards, upwards
-    beyond        whether it holds nothing else
+    falls, rises  whether the interval contains a decrease, or an increase, that matters
+    beyond        whether the interval contains only changes that matter, all in one direction
     """
     ways = [way for way, held in ((False, falls), (True, rises)) if held]
     left = tuple(dict.fromkeys(judged(tested.direction, rises=way) for way in ways))

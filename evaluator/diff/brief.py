@@ -50,7 +50,7 @@ def step_of(found: Difference, first: Divergence) -> str:
 
 
 def gap_before(first: Divergence) -> bool:
-    """Whether steps before it are not known, at any of which the two may have parted."""
+    """Whether steps just before the first difference are unknown, so that the sides may have parted there."""
     return first.after_step is not None and first.after_step < first.step_a - 1
 
 
@@ -147,7 +147,7 @@ def _stays(found: Difference, first: Divergence) -> bool:
 
 
 def _beside_capture(found: Difference, first: Divergence) -> bool:
-    """Whether the difference is of the timed phase, and a capture beside it is the same."""
+    """Whether the first difference is in the timed phase of runs that were captured, too."""
     return first.phase == "timed" and found.compared.hash_phase != "timed"
 
 

@@ -212,7 +212,7 @@ def _signs(rows: Sequence[Sequence[Cell | str]], results: Sequence[GroupResult])
 
 
 def _not_compared(questions: Sequence[Question], results: Sequence[GroupResult]) -> str:
-    """Which questions have no answer in any row, where the reason is known; empty if there is none."""
+    """Questions that are not compared in any row, each with a reason; empty if no such question has a known reason."""
     said = []
     for question in questions:
         answers = [question.answer([result]) for result in results]

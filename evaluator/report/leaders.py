@@ -53,8 +53,8 @@ class Fastest:
     faster         groups with a higher throughput that are not named first, each with the reason: of the groups of one
                    simulator with one kind of reason, the fastest
     remarks        what must be known to compare the two
-    other_steps    of each simulator that none of these groups is of: its fastest group, timed over other steps, if its
-                   throughput is above that of the first
+    other_steps    of each simulator without a group over the same timed steps: its fastest group over other timed
+                   steps, if the throughput of that group is above that of `first`
     """
 
     scene: str
@@ -119,7 +119,7 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
 
 
 def _timed_otherwise(found: Sequence[GroupResult], alike: Sequence[GroupResult]) -> list[GroupResult]:
-    """Of simulators that have no group among those alike: groups that differ from these in the timed steps alone."""
+    """Groups that differ from `alike` in the timed steps alone, of simulators that have no group in `alike`."""
     compared = {r.group.key.simulator for r in alike}
     _, *conditions = window_key(alike[0].group.key, alike[0].timed)
     others = [r for r in found if r.group.key.simulator not in compared]

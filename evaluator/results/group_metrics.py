@@ -1,8 +1,8 @@
 """Metrics of where the bodies of a group are at the sample step: W1 between environments, runs and to a reference.
 
-Of each W1 there is a counterpart with every cube that left the board at the board's edge: what the distance is without
-its fall and flight. A cube that falls off the board falls on until the sample step, and engines let it fly for metres:
-a handful of such cubes decides a mean over all. Both numbers are shown, the published one first.
+Each W1 has a clamped counterpart, in which every cube that left the board is moved to the nearest edge of the board. A
+cube that leaves the board falls until the sample step and may be metres away, so a few such cubes decide the mean over
+all cubes. The clamped distance does not contain this flight. Both are shown, the published distance first.
 """
 
 from __future__ import annotations

@@ -212,10 +212,10 @@ def _in_force(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 VARIABLES_WITHOUT_EFFECT = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "WARP_CACHE_PATH")
-"""Variables of the environment that change no number: which devices are visible is said by the device, and the last one
-says where compiled kernels are kept."""
+"""Environment variables that change no result: the first two select a GPU, which a recording names anyway, and the
+last is the folder of compiled kernels."""
 
-# the packages carry numbers and do not compute them
+# these packages store numbers, and compute none
 _NOT_NUMERIC = (*VARIABLES_WITHOUT_EFFECT, "mcap", "protobuf")
 
 # engines that only these simulators execute: for another simulator, that an engine is installed beside it is no

@@ -28,10 +28,10 @@ class OfMainThread:
 
 
 class _Leavable(io.FileIO):
-    """A file descriptor to write to; once a pipe has no reader, what is written goes nowhere."""
+    """A file descriptor to write to. If it is a pipe whose reader has gone, output is discarded without an error."""
 
     def write(self, data: Any) -> int:
-        """As of io.FileIO."""
+        """See io.FileIO."""
         try:
             return super().write(data)
         except BrokenPipeError:
@@ -42,7 +42,7 @@ class _Leavable(io.FileIO):
 
 
 def leavable(stream: Any, descriptor: int) -> io.TextIOWrapper:
-    """A stream like another, to an open file descriptor, whose reader may leave (see let_readers_leave)."""
+    """A text stream like `stream`, to an open file descriptor, whose reader may leave (see let_readers_leave)."""
     raw = _Leavable(descriptor, "w", closefd=False)
     return io.TextIOWrapper(
         raw if stream.write_through else io.BufferedWriter(raw),  # as of Python's own streams
@@ -51,10 +51,10 @@ def leavable(stream: Any, descriptor: int) -> io.TextIOWrapper:
 
 
 def let_readers_leave() -> None:
-    """Let whoever reads this process's output and errors stop reading, as `head` does after some lines.
+    """Allow the reader of standard output or standard error to stop reading, as `head` does after some lines.
 
-    The command goes on and ends with the exit code of what it found, which no reader changes. A stream that a caller
-    has put in the place of the process's own stays as it is.
+    The command goes on, and its exit code is the same as with a reader that stays. A stream by which a caller has
+    replaced sys.stdout or sys.stderr is left alone.
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)

@@ -336,7 +336,7 @@ def test_times_that_tell_the_order(seconds: tuple[int, ...], known: bool) -> Non
     """Take the order for known where there is a second for two runs, and more than one; never where a time is none."""
 
     def made(times: list[str]) -> Schedule:
-        runs: Any = [SimpleNamespace(provenance=SimpleNamespace(created_utc=t, run_id=str(i)))
+        runs: Any = [SimpleNamespace(provenance=replace(RECORDED, created_utc=t, run_id=str(i)))
                      for i, t in enumerate(times)]  # fmt: skip
         return schedule(runs[::2], runs[1::2])
 

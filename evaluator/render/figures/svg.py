@@ -55,7 +55,7 @@ def figure(width: float, height: float, label: str, *children: str) -> str:
 
 
 def open_path(points: Iterable[Sequence[float] | None]) -> str:
-    """Path data of straight lines from point to point (x, y), open where there is none."""
+    """Path data of straight lines from point to point (x, y), with a gap at each None."""
     data, pen = "", "M"
     for point in points:
         if point is not None:
@@ -70,12 +70,12 @@ def closed_path(points: Iterable[Sequence[float]]) -> str:
 
 
 def whisker_across(y: float, low: float, high: float, cap: float = 3.0) -> str:
-    """Path data of a line from left to right with a cap at both ends, so far up and down."""
+    """Path data of a horizontal line from `low` to `high`; caps at both ends reach `cap` up and down."""
     caps = "".join(f"M{number(end)} {number(y - cap)}v{number(2 * cap)}" for end in (low, high))
     return f"M{number(low)} {number(y)}H{number(high)}{caps}"
 
 
 def whisker_up(x: float, low: float, high: float, cap: float = 3.0) -> str:
-    """Path data of a line upwards with a cap at both ends, so far to the left and right."""
+    """Path data of a vertical line from `low` to `high`; caps at both ends reach `cap` to the left and right."""
     caps = "".join(f"M{number(x - cap)} {number(end)}h{number(2 * cap)}" for end in (low, high))
     return f"M{number(x)} {number(low)}V{number(high)}{caps}"

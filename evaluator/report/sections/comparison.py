@@ -48,7 +48,7 @@ _MECHANICS = f"broken checks of mechanics, {NEWEST.value}"
 
 
 def _bars(contender: Contender) -> str:
-    """Why a contender earns no pick; empty where nothing speaks against it."""
+    """Why a contender must not be picked; empty if it may be."""
     return contender.figures.barred or contender.figures.barred_articulated
 
 
@@ -57,7 +57,7 @@ def _label(contender: Contender) -> str:
 
 
 def panels(contenders: tuple[Contender, ...]) -> Iterator[Figure]:
-    """A panel for every axis of a radar, and the last for mechanics; those without a value say why."""
+    """A panel for every axis of a radar, and a last panel for mechanics; contenders without a value have the reason."""
     for axis in Axis:
         dots, missing = [], dict[str, list[str]]()
         for index, contender in enumerate(contenders):

@@ -146,13 +146,13 @@ def lines_of(said: Sequence[tuple[str, str]]) -> Items | None:
 
 
 def to_compare(section: str, notes: Sequence[Item | str]) -> Section:
-    """The folded notes of a section on what its numbers hang on beside the simulator."""
+    """A folded section of notes: conditions other than the simulator that the numbers of a section depend on."""
     title, said = "What must be known to compare them", plural(len(notes), "note")
     return Section(f"{section}-remarks", title, (items(*notes),), said, folded=True)
 
 
 def absences(reasons: Mapping[str, Sequence[str]]) -> str:
-    """Groups that a figure lacks, by the reason: a few by name, of more how many there are."""
+    """Groups that a figure does not show, by reason: up to _NAMED groups by name, of more groups their number."""
     return "; ".join(
         f"{', '.join(names) if len(names) <= _NAMED else plural(len(names), 'group')} ({why})"
         for why, names in reasons.items()

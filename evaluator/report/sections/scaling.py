@@ -284,7 +284,7 @@ def _matched(found: Accumulation) -> Iterator[tuple[str, ...]]:
 
 
 def _reduced(found: Accumulation) -> list[str]:
-    """What has to be known to read these rows."""
+    """Notes that a reader of the rows needs."""
     envs = plural(found.size, "environment")
     lines = [
         f"each run reduced to {envs}, mean of {found.draws} draws with seed {found.seed}; in brackets 95 % over runs",

@@ -177,7 +177,7 @@ def measured(
     values: Iterable[float], *, low: float | None = None, high: float | None = 0.0, tolerance: float, of: str,
     note: str = "",
 ) -> Fact:  # fmt: skip
-    """What a check found, from its values; values that are not finite count as broken.
+    """The result of a check, from its values; values that are not finite count as broken.
 
     low, high  what mechanics allows; by default an excess, which is at most zero
     """

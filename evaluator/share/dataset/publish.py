@@ -286,7 +286,7 @@ def _is_there(path: Path, data: bytes) -> bool:
 
 
 def published_lines(published: Published) -> Iterator[str]:
-    """What was written."""
+    """What gsb-share prints of a set that was written."""
     manifest = published.manifest
     outcomes = Counter(one.checkup.outcome for one in published.looked_at)
     groups = len(published.evaluation.results)
@@ -300,7 +300,7 @@ def published_lines(published: Published) -> Iterator[str]:
 
 
 def warnings_of(published: Published) -> Iterator[str]:
-    """What a publisher has to know before anybody else does."""
+    """Warnings to read before the set is published: damaged files, and text that may be personal."""
     for file in published.looked_at:
         if file.checkup.outcome == DAMAGED:
             yield f"{file.name} is damaged, and named as such: {'; '.join(file.checkup.findings)}"

@@ -289,7 +289,7 @@ class _Verifier:
 
 
 def verification_lines(verification: Verification) -> Iterator[str]:
-    """Everything that was found, and what it comes to."""
+    """What gsb-share prints of a verification: the set, the findings and the verdict."""
     manifest = verification.manifest
     yield (
         f"{manifest.title}: {plural(len(manifest.sums) + 2, 'file')}, {plural(len(manifest.recordings), 'recording')}, "
@@ -318,7 +318,7 @@ def verification_lines(verification: Verification) -> Iterator[str]:
 
 
 def dump_verification(verification: Verification) -> str:
-    """A JSON document."""
+    """A verification as a JSON document."""
     manifest = verification.manifest
     return dump(document_of({
         "gpusimbench": __version__,

@@ -26,7 +26,7 @@ from gpusimbench.schemas.provenance import OverflowBit
 STEPPING = ("auto", "batch", "mj_step")
 
 _DROPPED = ("mjWARN_CONTACTFULL", "mjWARN_CNSTRFULL")
-"""Warnings that say that contacts or constraints found no room; MuJoCo goes on without them."""
+"""Warnings that there was no room for contacts or constraints; MuJoCo goes on without them."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ class MujocoC(Simulator):
         return np.asarray(bits, np.uint32)[None]
 
     def gates(self) -> list[str]:
-        """See Simulator.gates; every MuJoCo warning is a gate, but those that are overflow bits."""
+        """See Simulator.gates; every MuJoCo warning is a gate, except for the warnings that are overflow bits."""
         self._count_warnings()
         risen, self._risen = self._risen, np.zeros_like(self._risen)
         fired = []

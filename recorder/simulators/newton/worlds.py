@@ -31,7 +31,7 @@ _MEASURED = (
     "states of joints are measured from the poses of bodies (newton.eval_ik), which may be off their joints: "
     "environments that are set to a recorded state (--initial, --intervene set) have their bodies on them"
 )
-"""What is to be known of solvers that move bodies alone."""
+"""Remark of recordings by solvers that move bodies, not joint coordinates."""
 
 
 class ModelControls:

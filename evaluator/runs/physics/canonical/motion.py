@@ -46,7 +46,7 @@ def joints_of(recording: Recording) -> tuple[Array, Array, Array] | Missing:
 
 
 def shaped(recording: Recording) -> tuple[World, States, Array] | Missing:
-    """The world, and states and time as of `bodies_of`; Missing also where a body is neither a ball nor a cube."""
+    """World, states and time, as `bodies_of` returns them; Missing also if a body is neither a ball nor a cube."""
     read = bodies_of(recording)
     if isinstance(read, Missing):
         return read
