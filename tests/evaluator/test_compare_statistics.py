@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations, permutations
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
+from gpusimbench import open_recording
 from gpusimbench.evaluator.compare.compare import _answered, _Asked
 from gpusimbench.evaluator.compare.finding import Change, Counted, Finding, Settings
 from gpusimbench.evaluator.compare.numbers import Schedule, matters, neighbours, schedule
@@ -31,6 +33,8 @@ from gpusimbench.evaluator.statistics.exchange import (
 )
 from gpusimbench.evaluator.statistics.families import able_to_reject, fisher, holm, least_fisher
 
+ROOT = Path(__file__).resolve().parents[2]
+RECORDED = open_recording(ROOT / "recordings" / "mujoco-amd-r0.mcap").provenance
 ABBA = [False, True, True, False]
 MB = 10**6
 

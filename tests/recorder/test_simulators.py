@@ -68,8 +68,8 @@ class Variant:
 
 
 VARIANTS = (
-    Variant("mujoco", skipped={**_NO_BITS, **_NO_BUFFERS}, slow=False),
-    Variant("mujoco", ("cone=pyramidal", "integrator=Euler"), skipped={**_NO_BITS, **_NO_BUFFERS}),
+    Variant("mujoco", skipped=_NO_BUFFERS, slow=False),
+    Variant("mujoco", ("cone=pyramidal", "integrator=Euler"), skipped=_NO_BUFFERS),
     Variant("warp", ahead=True),
     Variant("mjx", ("impl=jax",), ahead=True),
     Variant("mjx", ("impl=warp",), skipped=_NO_PARAMETERS, ahead=True),
