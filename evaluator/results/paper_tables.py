@@ -25,7 +25,7 @@ _MEMORY_CAUSES = ("device memory", "host memory")
 class Limit(StrEnum):
     """What N_env^max is a limit of; the paper's table does not tell these apart."""
 
-    TRIED = "none was met: this is the largest N that was tried"
+    TRIED = "none was met: this is the largest N in these recordings"
     MEMORY = "memory"
     INVALID = "validity, not memory"
     OTHER = "the engine, not memory"

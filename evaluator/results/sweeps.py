@@ -197,7 +197,7 @@ def _sweep(key: GroupKey, label: str, points: tuple[SweepPoint, ...]) -> Sweep:
     if above:
         ends = "; ".join(failure.at(above[0].n_env) for failure in above[0].failures)
     else:
-        ends = "largest N that was tried"
+        ends = "largest N in these recordings"
     memory = common_memory([p.result.metrics for p in points])
     told = any(known(p.result.metrics["allocator_peak"].value) is not None for p in points)
     models = {

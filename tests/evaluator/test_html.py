@@ -471,7 +471,7 @@ def test_scaling_is_drawn_and_tabulated(swept: Evaluation) -> None:
     words = re.sub(r"<[^>]*>", " ", section)
     for value in ("501 MB", "504 MB", "100,000", "failed at 16: device memory: no memory for the contacts", "3.00 GB"):
         assert value in words, value
-    assert "largest N that was tried" in words
+    assert "largest N in these recordings" in words
     assert len(pictures(text)) == text.count("<svg")
     Page(text)
 

@@ -103,7 +103,7 @@ def test_a_sweep_that_did_not_end(tmp_path: Path) -> None:
     """Say that nothing larger was tried."""
     write_sweep(tmp_path, (1, 4))
     sweep = only(tmp_path)
-    assert (sweep.n_max, sweep.ends) == (4, "largest N that was tried")
+    assert (sweep.n_max, sweep.ends) == (4, "largest N in these recordings")
 
 
 def test_a_partly_failed_point_counts(tmp_path: Path) -> None:
@@ -280,7 +280,7 @@ def test_a_real_sweep(tmp_path: Path, gsb_record: Command) -> None:
             "--warmup", 5, "--timed-steps", 60, "--out", tmp_path, code=0,
         )  # fmt: skip
     sweep = only(tmp_path)
-    assert (sweep.n_max, sweep.ends, sweep.label) == (4, "largest N that was tried", "mujoco")
+    assert (sweep.n_max, sweep.ends, sweep.label) == (4, "largest N in these recordings", "mujoco")
     assert set(sweep.models) == {"host_memory_peak_increment"}
     contacts = sweep.points[-1].result.validity.of("contacts")
     assert contacts is not None
