@@ -1,7 +1,7 @@
 """How much energy a swinging rod gains in PhysX, by solver, iterations and how gravity is applied.
 
 A frictionless pendulum keeps its energy. With TGS, an articulation's step of i position iterations moves the joint by
-v dt + a dt^2 (i + 1) / (2 i) and its speed by a dt, with the acceleration a of the begin of the step. For small
+v dt + a dt^2 (i + 1) / (2 i) and its speed by a dt, with the acceleration a of the beginning of the step. For small
 oscillations of angular frequency w, the determinant of that map is 1 + (w dt)^2 (i - 1) / (2 i) instead of 1, so that
 ln(energy) grows by (i - 1) / (2 i) times (w dt)^2 a step. If that is the cause, the measured growth of ln(energy) over
 (i - 1) / (2 i) is the same number for every i, but for the amplitude, which lowers w as it grows.

@@ -51,7 +51,7 @@ class ViewWriter:
         self._write(_SCENE, "foxglove.SceneUpdate", update, EPOCH_NS)
 
     def events(self, recording: Recording) -> None:
-        """All at the begin: they happened in wall time, of which simulated time knows nothing."""
+        """All at the beginning: they happened in wall time, of which simulated time knows nothing."""
         lines = [event_line(event.kind, event.phase, event.text, event.unix_ns) for event in recording.events]
         last = recording.events[-1].unix_ns if recording.events else EPOCH_NS
         lines.append(status_line(recording.status, recording.reason, last, good=recording.usable))

@@ -28,7 +28,7 @@ class StepTiming:
 
     first_step          simulator step that the first interval begins with
     steps_per_interval  simulator steps per interval
-    start_ns, end_ns    host's monotonic clock at the begin and end of each interval [ns], shape [interval]
+    start_ns, end_ns    host's monotonic clock at the beginning and end of each interval [ns], shape [interval]
     windows             the same steps may be timed several times: the first interval of each time
     """
 

@@ -57,7 +57,7 @@ def _tells_of_steps(course: Course) -> bool:
     """Whether a growth within the window says something of the engine, and not of the scene or of the system.
 
     A window that is timed again is compared with itself. Where nothing is counted, or more is counted at the end than
-    at the begin, steps at the end may have more to do.
+    at the beginning, steps at the end may have more to do.
     """
     work = course.work
     alike = "contacts" in work and all(last <= first * _WORK for first, last in work.values())

@@ -66,7 +66,7 @@ class EnvView:
 
     @property
     def name(self) -> str:
-        """Of its frame, and the begin of others."""
+        """Of its frame, and the beginning of others."""
         return f"env{self.number}"
 
     def entities(self) -> list[Any]:

@@ -206,7 +206,7 @@ def test_an_idle_world_is_not_the_fastest(tmp_path: Path) -> None:
     assert (found.first.result.label, found.second) == ("honest", None)
     why = {speed.result.label: reason for speed, reason in found.faster}
     assert why["quick"] == "protocol-2 not met: the timed phase takes less than 1 s"
-    assert why["unproven"].startswith("protocol-2 not met: contacts are not counted at the begin and the end")
+    assert why["unproven"].startswith("protocol-2 not met: contacts are not counted at the beginning and the end")
     text = render_html(evaluation, published=False, command="")
     assert "protocol-2 not met: the timed phase takes less than 1 s" in text
     assert fastest_of(evaluation) == (

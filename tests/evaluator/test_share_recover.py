@@ -38,7 +38,7 @@ def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 @example(fraction=1.0)
 @example(fraction=0.9999)
 def test_cut_anywhere(whole: Path, tmp_path_factory: pytest.TempPathFactory, fraction: float) -> None:
-    """Give the begin of what was there in its order, as a file that other readers open, and account for every byte."""
+    """Give the beginning of what was there in order, as a file that other readers open, and account for every byte."""
     folder = tmp_path_factory.mktemp("cut")
     data = whole.read_bytes()[: round(fraction * whole.stat().st_size)]
     (folder / "a.mcap.partial").write_bytes(data)

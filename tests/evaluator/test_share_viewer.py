@@ -102,7 +102,7 @@ def test_links_are_where_the_engine_puts_them(arms: Path, tmp_path: Path) -> Non
 
 
 def test_events_and_status(tmp_path: Path) -> None:
-    """Log events with their wall time at the begin of the axis, and end with how the run ended."""
+    """Log events with their wall time at the beginning of the axis, and end with how the run ended."""
     source = write_recording(tmp_path, grid(1), steps=3, status="INVALID", reason="contacts were dropped")
     found, _ = read(write_view(source, tmp_path / "v.mcap", envs=[0], rate=30, spread=0.0).path)
     _, last = found["/log"][-1]

@@ -129,7 +129,7 @@ def _with_length(rng: Random, data: bytes) -> bytes:
 
 @_mutator
 def spliced_anywhere(rng: Random, corpus: Corpus) -> Mutant:
-    """The begin of one recording and the end of another, or of itself."""
+    """The beginning of one recording and the end of another, or of itself."""
     index, data = _pick(rng, corpus)
     _, other = _pick(rng, corpus)
     return Mutant(data[: rng.randrange(len(data))] + other[rng.randrange(len(other)) :], index)

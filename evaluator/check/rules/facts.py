@@ -246,7 +246,7 @@ CONDITIONS: dict[str, tuple[str, Callable[[Integrity], bool]]] = {
     "complete": ("the run is complete by its own word", lambda f: described_of(f).status == "complete"),
     "counted": ("contacts are counted in the timed phase", lambda f: work_facts.contacts(recording_of(f)) is not None),
     "motion-counted": (
-        "the recorder counted what moves at the begin and the end of the timed phase",
+        "the recorder counted what moves at the beginning and the end of the timed phase",
         lambda f: work_facts.moving(recording_of(f)) is not None,
     ),
     "throttling-known": (

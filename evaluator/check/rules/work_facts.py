@@ -60,7 +60,7 @@ def actions_verified(recording: Recording) -> bool:
 
 
 def moving(recording: Recording) -> float | None:
-    """Joints and bodies of an environment that move, on average, at the begin or the end of the timed phase, whichever
+    """Joints and bodies of an environment that move, on average, at the beginning or end of the timed phase, whichever
     is less; None where they are not counted at both."""
     found = recording.counts.get("timed", {}).get("moving")
     return float(min(found.mean)) if found is not None and len(found.mean) > 1 else None
@@ -127,7 +127,7 @@ WORK_FACTS: dict[str, Fact] = {
     "timed_seconds": Fact(FactType.number, "duration of the timed phase [s]", _timed_seconds),
     "timed_counters": Fact(
         FactType.list,
-        "what is counted at the begin and the end of the timed phase",
+        "what is counted at the beginning and the end of the timed phase",
         lambda f: counters(recording_of(f)),
     ),
     "timed_counters_missing": Fact(
@@ -157,7 +157,7 @@ WORK_FACTS: dict[str, Fact] = {
     ),
     "timed_moving": Fact(
         FactType.number,
-        "joints and bodies of an environment that move, on average, at the begin or the end of the timed phase, "
+        "joints and bodies of an environment that move, on average, at the beginning or the end of the timed phase, "
         "whichever is less",
         lambda f: _known(moving(recording_of(f)), "what moves is not counted"),
     ),
