@@ -90,8 +90,10 @@ def test_counts_of_a_real_set(small_set: list[Path]) -> None:
     assert recording.counts["timed"]["contacts"].steps.tolist() == [10, 30]
     assert contacts.mean.min() > 0
     assert (contacts.mean <= contacts.max).all()
-    assert recording.overflows == {}  # MuJoCo C has no such bits
-    counted = only(*small_set).validity.of("constraint_rows")
+    assert recording.overflows["capture"].steps.tolist() == list(range(1, 101))
+    validity = only(*small_set).validity
+    assert (validity.overflow, validity.overflow_told.yes) == ((), True)  # MuJoCo C had room for everything
+    counted = validity.of("constraint_rows")
     assert counted is not None
     assert (counted.phase, counted.rows, counted.n_run) == ("capture", 300, 3)
     assert counted.mean == pytest.approx(recording.counts["capture"]["constraint_rows"].mean.mean())
