@@ -56,7 +56,7 @@ class Failure(NamedTuple):
 
     def at(self, n_env: int) -> str:
         """As the end of a sweep."""
-        return ": ".join(part for part in (f"{self.status} at {n_env:,}", self.cause, self.reason) if part)
+        return ": ".join(part for part in (f"{self.status} at {n_env:,}", self.cause, self.reason.rstrip(".")) if part)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.document import render_html
+from gpusimbench.evaluator.report.sections.overview import asked_of
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.sweeps import Sweep
@@ -285,3 +286,13 @@ def test_a_real_sweep(tmp_path: Path, gsb_record: Command) -> None:
     contacts = sweep.points[-1].result.validity.of("contacts")
     assert contacts is not None
     assert contacts.max > 0
+
+
+def test_a_shipped_sweep_that_the_engine_ends() -> None:
+    """Give the engine's reason as part of a sentence, and count no device for a run that was never built."""
+    folder = Path(__file__).resolve().parents[2] / "recordings" / "sweeps-h100"
+    found = evaluate_files(sorted(folder.glob("genesis-free-fall-*.mcap")))
+    (sweep,) = found.sweeps
+    assert sweep.ends.startswith("failed at 8,192: refused: Genesis does not accept this scene")
+    assert sweep.ends.endswith(" is too large")
+    assert asked_of(found) == "7 recordings, 1 simulator, 1 scene, 1 device."

@@ -81,7 +81,7 @@ def asked_of(evaluation: Evaluation) -> str:
         plural(n, "recording"),
         plural(len({r.group.key.simulator for r in results}), "simulator"),
         plural(len({r.group.key.scene for r in results}), "scene"),
-        plural(len({r.group.key.device for r in results}), "device"),
+        plural(len({r.group.key.device for r in results} - {""}), "device"),
     ]
     reference = evaluation.reference
     compared = f"; compared with {reference.label}" if reference else ""
