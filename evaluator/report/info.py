@@ -295,9 +295,7 @@ def _episodes(counts: EpisodeCounts) -> str:
 
 def _items(simulation: Simulation | None) -> dict[str, tuple[str, ...]]:
     """The names of the bodies or joints of each group of states."""
-    return {
-        field.name.partition("/")[0]: field.items for field in (simulation.fields if simulation else ()) if field.items
-    }
+    return {field.group: field.items for field in (simulation.fields if simulation else ()) if any(field.items)}
 
 
 def _inside(found: Inspection) -> Iterator[tuple[str, str]]:

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gpusimbench.evaluator.check.inspection import inspect
@@ -16,8 +17,10 @@ from gpusimbench.evaluator.cli.info import main
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.info import info_document
+from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.fields import array_field, body_field
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION, OverflowBit
 from tests.conftest import Command, call
 from tests.evaluator.damaged import BYTES, whole
@@ -53,6 +56,18 @@ def test_what_is_said_of_a_run(gsb_info: Command, small: Path) -> None:
     ):  # fmt: skip
         assert text in done.stdout, text
     assert len(done.stdout.splitlines()) <= 60
+
+
+def test_only_what_has_names_is_named(tmp_path: Path) -> None:
+    """Name bodies and joints of a program's recording, and nothing of its arrays of environments."""
+    fields = (body_field("parts", "position", "float64", ("hull", "wheel")), array_field("reward", "float64"))
+    with RecordingWriter(
+        tmp_path / "a.mcap", simulator="mine", version="1", scene="toy", n_env=2, dt=0.5, steps=1, fields=fields
+    ) as log:
+        for _ in range(2):
+            log.append(np.zeros((2, 2, 3)), np.zeros(2))
+    said = call("gsb-info", tmp_path / "a.mcap", "--all", code=0).stdout
+    assert re.findall(r"^  names .*\n(?:   .*\n)*", said, re.MULTILINE) == ["  names        parts: hull, wheel\n"]
 
 
 def test_numbers_are_the_recordings_own(small: Path) -> None:
