@@ -17,7 +17,7 @@ from gpusimbench.recorder.abilities import BODIES, ROBOTS, VARIED, Ability
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, Evidence
+from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, Evidence, joined
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.schemas.imported import Imported
@@ -71,11 +71,11 @@ class MujocoC(Simulator):
         self._worlds = make_worlds(options.stepping, models or [compiled.model] * self.n_env, threads)
         self._worlds.write("qpos", compiled.qpos0)
         self._worlds.write("qvel", compiled.qvel0)
-        self._counts: NDArray[np.int64] | None = None  # of the last states; None: to be counted when asked
+        self._evidence: Evidence | None = None  # of the last states; None: to be taken when asked
         self._warned = np.zeros((self.n_env, len(self._warnings)), dtype=np.int64)
         self._risen = np.zeros_like(self._warned)  # since gates were asked
         self._dropping = np.zeros_like(self._warned)  # since the last row of overflow bits
-        self._overflow: NDArray[np.uint32] | None = None  # of the steps that _counts has
+        self._dropped = [self._warnings.index(name) for name in _DROPPED]
         self._actions: NDArray[np.float32] | None = None
         self._next_action = 0
         self._made = 0  # steps since the build
@@ -102,7 +102,7 @@ class MujocoC(Simulator):
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
-        self._counts = None
+        self._evidence = None
         self._made += n_step
         if self._actions is None:
             self._worlds.step(n_step)
@@ -145,7 +145,7 @@ class MujocoC(Simulator):
             self._worlds.write(name, values if envs is None else values[envs], envs)
         if envs is None:
             self._made = snapshot.step
-        self._counts = None
+        self._evidence = None
 
     def reset(self, envs: Envs = None) -> None:
         """See Simulator.reset: a reset of MuJoCo's, then the scene's initial velocities."""
@@ -163,7 +163,7 @@ class MujocoC(Simulator):
         self._worlds.write("qvel", qvel, envs)
         if envs is None:
             self._made = 0
-        self._counts = None
+        self._evidence = None
 
     def imported(self) -> Imported:
         """See Simulator.imported."""
@@ -194,35 +194,28 @@ class MujocoC(Simulator):
         model = self._compiled.model
         qpos = np.empty((n_step, self.n_env, model.nq))
         qvel = np.empty((n_step, self.n_env, model.nv))
-        counts, overflow = [], []
+        rows = []
         for k in range(n_step):
             self.step(1)
             qpos[k] = self._worlds.read("qpos")
             qvel[k] = self._worlds.read("qvel")
-            counts.append(self._count())
-            overflow.append(self._dropped())
-        self._counts, self._overflow = np.concatenate(counts), np.concatenate(overflow)
+            rows.append(self._row())
+        self._evidence = joined(rows)
         return self._compiled.split(qpos, qvel)
-
-    def _count(self) -> NDArray[np.int64]:
-        # [row, counter, env]
-        pair = (self._worlds.read("ncon").reshape(-1), self._worlds.read("nefc").reshape(-1))
-        return np.array(pair, dtype=np.int64)[None]
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence."""
-        if self._counts is None or self._overflow is None:
-            counts, overflow = self._count(), self._dropped()
-        else:
-            counts, overflow = self._counts, self._overflow
-        return Evidence({CONTACTS.name: counts[:, 0], CONSTRAINT_ROWS.name: counts[:, 1]}, overflow)
+        return self._row() if self._evidence is None else self._evidence
 
-    def _dropped(self) -> NDArray[np.uint32]:
-        # [row, env]: overflow bits of the steps since the last row
+    def _row(self) -> Evidence:
+        """Counts of the last step, and overflow bits of the steps since the last row."""
         self._count_warnings()
-        risen, self._dropping = self._dropping, np.zeros_like(self._dropping)
-        bits = sum((risen[:, self._warnings.index(name)] > 0) << bit for bit, name in enumerate(_DROPPED))
-        return np.asarray(bits, np.uint32)[None]
+        fired, self._dropping = self._dropping[:, self._dropped] > 0, np.zeros_like(self._dropping)
+        counts: dict[str, NDArray[np.integer]] = {
+            name: self._worlds.read(field).reshape(1, -1).astype(np.int64)
+            for name, field in ((CONTACTS.name, "ncon"), (CONSTRAINT_ROWS.name, "nefc"))
+        }
+        return Evidence(counts, (fired << np.arange(len(_DROPPED))).sum(axis=1, dtype=np.uint32)[None])
 
     def gates(self) -> list[str]:
         """See Simulator.gates; every MuJoCo warning is a gate, except for the warnings that are overflow bits."""
