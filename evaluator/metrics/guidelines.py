@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar, require_unique_names
 from gpusimbench.evaluator.missing import Missing
@@ -16,26 +17,21 @@ LARGE_FACTOR = 4
 
 _NAMED = 4  # simulators that lack a figure
 
-_FIGURE_TEXT: dict[str, str] = {
-    "fps": "{:.4g} env-steps/s",
-    "n_max": "N_env^max {}",
-    "memory_gb": "{:.4g} GB",
-    "w1_real": "W1 to real trials {:.2f} cm",
-    "parallel": "W1 between envs {:.2f} cm",
-    "run_to_run": "W1 between runs {:.2f} cm",
-    "fps_articulated": "{:.4g} env-steps/s",
-    "n_max_articulated": "N_env^max {}",
-}
 
-_FIGURE_NAME: dict[str, str] = {
-    "fps": "throughput",
-    "n_max": "N_env^max (a sweep)",
-    "memory_gb": "GPU memory increment",
-    "w1_real": "W1 to real trials",
-    "parallel": "W1 between envs",
-    "run_to_run": "W1 between runs",
-    "fps_articulated": "throughput of a robot",
-    "n_max_articulated": "N_env^max of a robot (a sweep)",
+class _Figure(NamedTuple):
+    text: str  # with its value
+    title: str  # where it has none
+
+
+_FIGURES: dict[str, _Figure] = {
+    "fps": _Figure("{:.4g} env-steps/s", "throughput"),
+    "n_max": _Figure("N_env^max {}", "N_env^max (a sweep)"),
+    "memory_gb": _Figure("{:.4g} GB", "GPU memory increment"),
+    "w1_real": _Figure("W1 to real trials {:.2f} cm", "W1 to real trials"),
+    "parallel": _Figure("W1 between envs {:.2f} cm", "W1 between envs"),
+    "run_to_run": _Figure("W1 between runs {:.2f} cm", "W1 between runs"),
+    "fps_articulated": _Figure("{:.4g} env-steps/s", "throughput of a robot"),
+    "n_max_articulated": _Figure("N_env^max {}", "N_env^max of a robot (a sweep)"),
 }
 
 
@@ -106,7 +102,7 @@ def _apply(rule: _Rule, results: Results) -> Guideline:
     if len(measured) < 2:
         have = f"only {measured[0].name} has" if measured else "no simulator has"
         lacking = [f for f in rule.figures if any(getattr(r, f) is None for r in results)]
-        missing = f"; missing: {', '.join(_FIGURE_NAME[f] for f in lacking)}" if lacking else ""
+        missing = f"; missing: {', '.join(_FIGURES[f].title for f in lacking)}" if lacking else ""
         return _no_pick(rule, f"{have} all the figures that the rule needs{missing}", unmeasured)
     barred = tuple(f"{_figures(rule, r)}: {_bar(rule, r)}" for r in measured if _bar(rule, r))
     sound = [r for r in measured if not _bar(rule, r)]
@@ -166,7 +162,7 @@ def _shortened(names: Sequence[str]) -> str:
 def _figures(rule: _Rule, result: SimulatorResult, results: Results | None = None) -> str:
     """A simulator and its figures, e.g. "MJX (5340 env-steps/s, N_env^max 512)"."""
     named = [*rule.figures, *([rule.ranks] if rule.ranks else [])]
-    texts = [_FIGURE_TEXT[f].format(value) for f in named if (value := getattr(result, f)) is not None]
+    texts = [_FIGURES[f].text.format(value) for f in named if (value := getattr(result, f)) is not None]
     if rule.score is _radar_mean and results is not None:
         texts.insert(0, f"radar mean {_radar_mean(result, results):.3f}")
     return f"{result.name} ({', '.join(texts)})"
