@@ -205,6 +205,10 @@ def _memory(sweep: Sweep) -> str:
     return f"{model.fixed / 1e6:,.0f} MB + {model.per_env / 1e3:,.0f} kB per env, {off}"
 
 
+def _sweeps(evaluation: Evaluation) -> list[Sweep]:
+    return sorted(evaluation.sweeps, key=lambda sweep: (sweep.key.scene, sweep.label))
+
+
 def sweeps(evaluation: Evaluation) -> str:
     """How far each goes, as a Markdown table."""
     columns = timed.ALL
@@ -213,7 +217,7 @@ def sweeps(evaluation: Evaluation) -> str:
         *(column.title for column in columns), "device memory",
     ]  # fmt: skip
     lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
-    for sweep in sorted(evaluation.sweeps, key=lambda s: (s.key.scene, s.label)):
+    for sweep in _sweeps(evaluation):
         n_max = _NONE if sweep.n_max is None else f"{sweep.n_max:,}"
         ends = sweep.ends.partition(": RuntimeError")[0]
         best = _best(sweep)
@@ -230,7 +234,7 @@ def points(evaluation: Evaluation) -> str:
     """The throughput of each number of environments, as a Markdown table."""
     titles = ("scene", "simulator", "N", "runs", "env-steps/s", "relative SD", "timed steps", "seconds timed")
     rows = []
-    for sweep in sorted(evaluation.sweeps, key=lambda s: (s.key.scene, s.label)):
+    for sweep in _sweeps(evaluation):
         for point in sweep.points:
             fps = point.result.metrics["fps"]
             if (mean := known(fps.value)) is None:
