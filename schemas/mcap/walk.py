@@ -227,7 +227,7 @@ class Walk:
         if not crc:
             self._skip("crc_missing", "the data section has no CRC")
         elif self._report is not None and data_crc(self._source, 0, record.begin) != crc:
-            self._report("data_crc", "bytes between the file's begin and the data section's end were changed")
+            self._report("data_crc", "bytes between the file's beginning and the data section's end were changed")
         return crc
 
     def _wrong(self, fault: Fault, what: str) -> None:
