@@ -56,7 +56,8 @@ class Failure(NamedTuple):
 
     def at(self, n_env: int) -> str:
         """As the end of a sweep."""
-        return ": ".join(part for part in (f"{self.status} at {n_env:,}", self.cause, self.reason.rstrip(".")) if part)
+        cause = "" if self.reason.startswith(f"{self.cause}:") else self.cause
+        return ": ".join(part for part in (f"{self.status} at {n_env:,}", cause, self.reason.rstrip(".")) if part)
 
 
 @dataclass(frozen=True)

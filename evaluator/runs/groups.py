@@ -184,9 +184,11 @@ def _options(simulator: str, simulation: Simulation | None, given: Mapping[str, 
     for something else."""
     if simulation is None:
         return given
-    told = {*simulation.options, *simulation.switches, *(one.name for one in simulation.buffers), "device"}
+    buffers = {one.name for one in simulation.buffers}
+    told = {*simulation.options, *simulation.switches, *buffers, "device"}
     told |= {option for option, name in TOLD_AS.get(simulator, {}).items() if name in told}
-    return {**_without(given, told), **simulation.options}
+    # a size that nobody asked for follows from the scene and the number of environments
+    return {**_without(given, told), **_without(simulation.options, buffers - set(given))}
 
 
 TOLD_AS = {

@@ -219,6 +219,8 @@ def test_buffers_of_a_gpu_are_measured() -> None:
     def sizes(n_env: int) -> dict[str, Any]:
         physics = Physx(scene, n_env=n_env, dt=0.01, seed=0, options=options, level="default", gpu=True)
         physics.close()
+        assert physics.in_force()["gpu_max_rigid_contact_count"] == 0  # nobody asked for a size
+        assert physics.in_force()["gpu_collision_stack_size"] == 1 << 20
         assert physics.cfg.gpu_collision_stack_size == 1 << 20
         return {buffer.name: buffer for buffer in physics.buffers}
 

@@ -125,12 +125,13 @@ class Physx:
         """Nothing was kept."""
 
     def in_force(self) -> dict[str, Any]:
-        """The options that PhysX has."""
+        """The options that PhysX has. What was chosen for a size of 0 is among the buffers."""
         options = self._options
         names = ("position_iterations", "velocity_iterations", "bounce_threshold", "friction_combine",
                  "restitution_combine", "external_forces_every_iteration")  # fmt: skip
         found = {name: getattr(options, name) for name in names}
-        return {**found, **{buffer.name: buffer.asked for buffer in self.buffers}, "solver": "TGS", **BODY_LIMITS}
+        asked = {buffer.name: getattr(options, buffer.name) for buffer in self.buffers}
+        return {**found, **asked, "solver": "TGS", **BODY_LIMITS}
 
     def switches(self) -> dict[str, Any]:
         """What decides which bits come out."""
