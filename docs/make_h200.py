@@ -46,7 +46,7 @@ _NONE = "-"
 
 
 def shipped() -> Evaluation:
-    """The evaluation of the set of levels and sweeps."""
+    """The evaluation of the set of levels."""
     return evaluate_files(sorted(FOLDER.glob("*.mcap")))
 
 
@@ -295,7 +295,7 @@ def blocks(evaluation: Evaluation) -> dict[Path, dict[str, str]]:
     cards = {one / "README.md": {"verdicts": verdicts(evaluate_files(of_protocol(one)))} for one in OF_PROTOCOL}
     swept = evaluate_files(sorted(SWEPT.glob("*.mcap")))
     return cards | {
-        FOLDER / "README.md": {"verdicts": verdicts(evaluation), "sweeps": sweeps(evaluation)},
+        FOLDER / "README.md": {"verdicts": verdicts(evaluation)},
         SWEPT / "README.md": {"sweeps": sweeps(swept), "points": points(swept)},
         ROOT / "README.md": {"h200": answers(on_h200())},
         ROOT / "docs" / "determinism.md": {"switches": switches(evaluation)},

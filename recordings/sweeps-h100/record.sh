@@ -16,11 +16,13 @@ sweeps=( # name, numbers of environments, options
   "warp-free-fall|512 4096 16384 32768 65536|--sim warp --scene free-fall"
   "newton-xpbd-free-fall|512 4096 32768 65536 131072|--sim newton --solver xpbd --scene free-fall"
   "newton-mujoco-free-fall|512 4096 8192 16384 32768|--sim newton --solver mujoco --scene free-fall"
+  "newton-mujoco-franka|512 4096 32768 65536|--sim newton --solver mujoco --scene franka"
   "mjx-franka|512 4096 8192 16384 32768|--sim mjx --impl jax --scene franka"
   "mjx-free-fall|16 64 256 1024 4096|--sim mjx --impl jax --scene free-fall"
   # each of these is in an environment of its own: gsb-record --setup NAME
   "physx-free-fall|512 4096 8192 16384 32768|--sim physx --scene free-fall"
   "physx-franka|512 4096 16384 32768 65536|--sim physx --scene franka"
+  "isaaclab-ovphysx-free-fall|64 256 512 1024 2048 4096|--sim isaaclab --backend ovphysx --scene free-fall"
   "genesis-franka|512 4096 32768 65536 131072|--sim genesis --scene franka"
   "genesis-free-fall|512 4096 8192 16384 32768|--sim genesis --scene free-fall"
 )
