@@ -21,13 +21,13 @@ from gpusimbench.evaluator.compare.outcome import (
 )
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_arrays, compare_bits, compare_determinism
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.file_set import FileSet, without_copies
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
 from gpusimbench.evaluator.inputs.sample_time import notes_on, read_sampled
 from gpusimbench.evaluator.read import known_errors
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results import growth
 from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.evaluate import without_copies
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Axis
@@ -36,7 +36,6 @@ from gpusimbench.evaluator.results.timed_work import TimedWork, timed_work
 from gpusimbench.evaluator.runs.groups import group, status_notes
 from gpusimbench.evaluator.runs.memory import notes as cotenant_notes
 from gpusimbench.evaluator.runs.memory import with_peers
-from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.families import able_to_reject, holm
 from gpusimbench.schemas.commands.progress import each
 from gpusimbench.schemas.errors import ExitCode, UsageError
@@ -44,44 +43,24 @@ from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.location import Place
 
 
-@dataclass(frozen=True)
-class Side:
-    """One of the two sets.
-
-    files       recordings that could be read, each run once
-    unreadable  files that could not
-    notes       on copies
-    """
-
-    files: tuple[Run, ...]
-    unreadable: tuple[Unreadable, ...]
-    notes: tuple[str, ...]
-
-
 def read_sides(
     base: Sequence[Place], head: Sequence[Place], reader: Reader, work: Work, across: Collection[str] = ()
-) -> tuple[Side, Side]:
+) -> tuple[FileSet, FileSet]:
     """Read both sets; UsageError where a run is in both.
 
     across  what may differ between base and head, see `compare`; states of two scenes are sampled at one time
     """
     sampled = read_sampled([*base, *head], reader, work, together="scene" in across)
-    one, other = (_side([sampled.files[place] for place in places]) for places in (base, head))
-    one = replace(one, notes=(*one.notes, *notes_on(sampled.shorter, sampled.time, (*one.files, *other.files))))
-    ours = {file.provenance.run_id: file for file in one.files}
-    for file in other.files:
+    one, other = (without_copies(sampled.files[place] for place in places) for places in (base, head))
+    one = replace(one, notes=(*one.notes, *notes_on(sampled.shorter, sampled.time, (*one.runs, *other.runs))))
+    ours = {file.provenance.run_id: file for file in one.runs}
+    for file in other.runs:
         if same := ours.get(file.provenance.run_id):
             raise UsageError(
                 f"{same.path} of base and {file.path} of head are one run, which tells nothing when it "
                 "is compared with itself; record a second set"
             )
     return one, other
-
-
-def _side(files: Sequence[Run | Unreadable]) -> Side:
-    failures = [f for f in files if isinstance(f, Unreadable)]
-    distinct, notes = without_copies([f for f in files if isinstance(f, Run)], failures)
-    return Side(tuple(distinct), tuple(failures), tuple(notes))
 
 
 FEW_RUNS = 6
@@ -175,13 +154,13 @@ def counts(axis: Axis, settings: Settings) -> bool:
     return settings.expect_same or axis in settings.gates
 
 
-def compare(base: Side, head: Side, settings: Settings, work: Work, across: Collection[str] = ()) -> Result:
+def compare(base: FileSet, head: FileSet, settings: Settings, work: Work, across: Collection[str] = ()) -> Result:
     """Compare two sets; UsageError where `across` names nothing that was asked for.
 
     across  names of options, or of matching.ACROSS, that may differ between base and head
     """
-    runs = with_peers([*base.files, *head.files])
-    read = [runs[: len(base.files)], runs[len(base.files) :]]
+    runs = with_peers([*base.runs, *head.runs])
+    read = [runs[: len(base.runs)], runs[len(base.runs) :]]
     sides = [group(side) for side in read]
     measured = sum(g.measured for side in sides for g in side)
     groups = [pooled([g for g in side if not g.measured]) for side in sides]
