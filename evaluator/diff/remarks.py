@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from gpusimbench.evaluator.diff import words
-from gpusimbench.evaluator.diff.common import CommonField, Selection
+from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.program_parts import ProgramDifference
 from gpusimbench.evaluator.diff.result import Basis
+from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement, CommonHashes
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.evaluator.metrics.identity import unchanging
