@@ -106,13 +106,13 @@ def make_replays(original: Recording, path: Path, plan: ReplayPlan, say: Callabl
         words = plan.program(original.configuration.seed)
         runs = run_program(words, plan.runs, plan.out, plan.timeout or 0, say)
         took = time.monotonic() - begun
-        return Replays(shlex.join(words), tuple(_made(run, original, path.name) for run in runs), "", took)
+        return Replays(shlex.join(words), tuple(_recording_beside(run, original, path.name) for run in runs), "", took)
     given = plan.arguments(path)
     made, refused = record(given, say)
     return Replays(shlex.join([COMMAND, *given]), made, refused, time.monotonic() - begun)
 
 
-def _made(run: ProgramRun, original: Recording, name: str) -> Made:
+def _recording_beside(run: ProgramRun, original: Recording, name: str) -> Made:
     """Of a program's run the recording that belongs beside the original: that of its name, or the only one alike."""
     if run.status != "ended":
         return Made("stopped" if run.status == "timeout" else "failed", f"the program {run.reason}", None)

@@ -184,7 +184,7 @@ def _run_sets(arguments: argparse.Namespace, settings: Settings) -> int:
     """Compare two sets; returns the exit code."""
     if arguments.html:
         raise UsageError("--html needs --history; for two sets, use --markdown or --json")
-    base, head = _given(arguments)
+    base, head = _base_and_head(arguments)
 
     from gpusimbench.evaluator.compare.compare import compare, read_sides
     from gpusimbench.evaluator.compare.document import comment, dump_json, full, short
@@ -252,7 +252,7 @@ def _present(
     return int(found.exit_code)
 
 
-def _given(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:
+def _base_and_head(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:
     sets: list[Place] = list(arguments.sets)
     base = arguments.base or sets[:1]
     head = arguments.head or (sets[1:2] if not arguments.base else sets[:1])

@@ -54,15 +54,15 @@ def verdict(finding: Finding, result: Result) -> str:
 
 def sentence(result: Result) -> str:
     """The verdict of the whole in one plain sentence."""
-    return _whole(result)[0]
+    return _verdicts(result)[0]
 
 
 def headline(result: Result) -> str:
     """The verdict of the whole in one line, for programs."""
-    return _whole(result)[1]
+    return _verdicts(result)[1]
 
 
-def _whole(result: Result) -> tuple[str, str]:
+def _verdicts(result: Result) -> tuple[str, str]:
     """The verdict of the whole for people, and for programs."""
     same = result.settings.expect_same
     where = plural(len(result.compared), "configuration")

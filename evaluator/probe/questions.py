@@ -241,7 +241,7 @@ def _numbers(arms: Arms) -> Asked | Missing:
     parts += [
         f"not with {how.partition(' ')[0]}: {shorten(why, _WHY, placeholder=' ...')}" for how, why in others.items()
     ]
-    return worst_of(found, f"{arms.n_env} environments and {listed} of the same {_begun(arms)}", "; ".join(parts))
+    return worst_of(found, f"{arms.n_env} environments and {listed} of the same {_what_varies(arms)}", "; ".join(parts))
 
 
 def _other_number(how: str, n_env: int) -> bool:
@@ -257,7 +257,7 @@ def _slots(arms: Arms) -> Asked | Missing:
     base, shifted, initial = both
     pairs = tuple(((env + initial.shift) % arms.n_env, env) for env in range(arms.n_env))
     return decided_alone(
-        compare_pairs(Pairs(base, shifted, pairs)), f"the same {_begun(arms)}, {initial.shift} slots further"
+        compare_pairs(Pairs(base, shifted, pairs)), f"the same {_what_varies(arms)}, {initial.shift} slots further"
     )
 
 
@@ -268,7 +268,7 @@ def _neighbours(arms: Arms) -> Asked | Missing:
         return both
     base, others, initial = both
     assert initial.but is not None
-    compared = f"environment {initial.but} among neighbours of other {_begun(arms)}"
+    compared = f"environment {initial.but} among neighbours of other {_what_varies(arms)}"
     return decided_alone(compare_pairs(Pairs(base, others, same_slots([initial.but]))), compared)
 
 
@@ -283,7 +283,7 @@ def _mirrored(arms: Arms) -> Asked | Missing:
     base, images, _ = both
     pairs = Pairs(base, images, same_slots(range(arms.n_env)), mirror=str(axes))
     plane = "z axis, by a half turn" if axes == "xy" else f"plane {axes} = 0"
-    return decided_alone(compare_pairs(pairs), f"the same {_begun(arms)}, mirrored in the {plane}")
+    return decided_alone(compare_pairs(pairs), f"the same {_what_varies(arms)}, mirrored in the {plane}")
 
 
 def _captured(arms: Arms) -> Asked | Missing:
@@ -332,7 +332,7 @@ def _device(arms: Arms) -> Asked | Missing:
     return worst_of(found, said, f"differs with {', '.join(sorted(differ))}" if differ else "")
 
 
-def _begun(arms: Arms) -> str:
+def _what_varies(arms: Arms) -> str:
     """What differs between environments, and goes with them into other slots."""
     return "initial states and parameters" if arms.key.told["vary"] else "initial states"
 

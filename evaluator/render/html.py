@@ -174,7 +174,7 @@ def _table(block: Table, level: int) -> Markup:
         for i, column in enumerate(block.columns)
     )
     closed = (len(block.rows) > _OPEN_ROWS or any(row.more for row in block.rows)) and not block.compact
-    whole, tight = _whole(block) if closed else ([], False)
+    whole, tight = _unbroken_columns(block) if closed else ([], False)
     rows = [_row(row, numeric, block.compact, closed, tight, level) for row in block.rows]
     bodies = Markup("<tbody>\n{}\n</tbody>").format(Markup("\n").join(rows[:FIRST_ROWS]))
     every = _EMPTY
@@ -209,7 +209,7 @@ def _is_named(block: Table) -> bool:
     return max(len(row.cells[0].text) for row in block.rows) <= _LONGEST_NAME
 
 
-def _whole(block: Table) -> tuple[list[int], bool]:
+def _unbroken_columns(block: Table) -> tuple[list[int], bool]:
     """Columns, from 1, whose cells are not broken: the narrowest first, as many as a page has room for.
 
     Also whether there is no room for intervals, which are not broken either.
@@ -274,20 +274,20 @@ def _cell(said: Cell, index: int, numeric: bool, compact: bool, opens: bool, clo
     if compact and len(said.lines) > 1:
         attributes += Markup(' title="{}"').format(_text("; ".join(said.lines)))
     name = "th scope=row" if index == 0 else "td"
-    shown = _opening(said) if opens else _said(said, closed=closed)
+    shown = _opening(said) if opens else _cell_content(said, closed=closed)
     return Markup("<{}{}>{}</{}>").format(Markup(name), attributes, shown, Markup(name[:2]))
 
 
 def _opening(said: Cell) -> Markup:
     """The name of a row as what opens it: where the name is a link, that stands with what is opened."""
-    plain = _said(replace(said, link="", range="", notes=()), closed=True)
+    plain = _cell_content(replace(said, link="", range="", notes=()), closed=True)
     notes = [Markup("<small>{}</small>").format(_text(one)) for one in said.notes]
     if said.link:
         notes.append(Markup('<small><a href="#{}">go to its section</a></small>').format(said.link))
     return Markup("<details class=row><summary>{}</summary></details>{}").format(plain, _EMPTY.join(notes))
 
 
-def _said(said: Cell, *, closed: bool = False) -> Markup:
+def _cell_content(said: Cell, *, closed: bool = False) -> Markup:
     shown = _text(said.text)
     if said.code:
         shown = Markup("<code>{}</code>").format(shown)
@@ -347,7 +347,7 @@ def _files(block: Figure) -> Markup:
 
 def _facts(block: Facts) -> Markup:
     pairs = Markup("\n").join(
-        Markup("<div><dt>{}</dt><dd{}>{}</dd></div>").format(_text(name), _class(said.tone), _said(said))
+        Markup("<div><dt>{}</dt><dd{}>{}</dd></div>").format(_text(name), _class(said.tone), _cell_content(said))
         for name, said in block.pairs
     )
     return Markup("<dl>\n{}\n</dl>").format(pairs) if block.pairs else _EMPTY

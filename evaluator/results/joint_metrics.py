@@ -115,7 +115,7 @@ def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     )
 
 
-def _made(unit: str, name: str, what: str, joints: str) -> tuple[Metric, Metric]:
+def _between_envs_and_runs(unit: str, name: str, what: str, joints: str) -> tuple[Metric, Metric]:
     of = f"root mean square over {joints}"
     return (
         Metric(
@@ -138,8 +138,8 @@ def _made(unit: str, name: str, what: str, joints: str) -> tuple[Metric, Metric]
 
 
 JOINT_METRICS = (
-    *_made("rad", "angle", "joint angles", "hinges and ball joints"),
-    *_made("cm", "slide", "sliding joints", "sliding joints"),
+    *_between_envs_and_runs("rad", "angle", "joint angles", "hinges and ball joints"),
+    *_between_envs_and_runs("cm", "slide", "sliding joints", "sliding joints"),
 )
 """Of joints that turn, and of joints that slide: between environments, between runs."""
 

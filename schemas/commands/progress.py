@@ -171,7 +171,7 @@ class Progress(Ticker):
     """
 
     def __init__(self, command: str, *, live: bool | None = None, clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__(self._said, live=live, clock=clock)
+        super().__init__(self._line, live=live, clock=clock)
         self._command = command
         self.stages: list[Stage] = []
 
@@ -197,7 +197,7 @@ class Progress(Ticker):
             self.stages.remove(made)
             self.erase()
 
-    def _said(self, now: float) -> str:
+    def _line(self, now: float) -> str:
         stages = self.stages[-1:]
         return f"{self._command}: {stages[0].words(now)}" if stages else ""
 

@@ -129,7 +129,7 @@ def check_up(path: Place, name: str = "") -> Checkup:
     file = examine(path)
     integrity = check([file], [load_rules(INTEGRITY)])
     protocol = check([file], [load_rules(PROTOCOL)])
-    findings = _told(integrity, Severity.error)
+    findings = _findings(integrity, Severity.error)
     unasked = [u for u in integrity.unchecked if u.rule.level is Severity.error]
     if not findings:
         findings = [f"{u.rule.id}: not checked, {u.reason}" for u in unasked]
@@ -141,12 +141,12 @@ def check_up(path: Place, name: str = "") -> Checkup:
         outcome=DAMAGED if damaged else BROKEN if findings else WHOLE,
         content_hash="" if file.end is None else str(file.end.content_hash),
         findings=tuple(dict.fromkeys(findings)),
-        warnings=tuple(_told(integrity, Severity.warning)),
+        warnings=tuple(_findings(integrity, Severity.warning)),
         deviations=tuple(alone),
     )
 
 
-def _told(report: Report, level: Severity) -> list[str]:
+def _findings(report: Report, level: Severity) -> list[str]:
     return [f"{finding.rule.id}: {finding.found}" for finding in report.findings if finding.rule.level is level]
 
 
