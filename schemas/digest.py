@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.schemas.blocks import little_endian, raw_bytes
+from gpusimbench.schemas.block_parts import little_endian, raw_bytes
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.writer import Buffer
 

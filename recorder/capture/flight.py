@@ -15,7 +15,7 @@ from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.flight import AFTER, BEFORE, NEVER, FailureKind, Flight, Watch, step_and_kind
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import state_parts
+from gpusimbench.schemas.block_parts import state_parts
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.messages import enum_values, message_class

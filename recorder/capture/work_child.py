@@ -27,7 +27,7 @@ from gpusimbench.recorder.capture.state_work import (
     pieces_of,
     places_of,
 )  # fmt: skip
-from gpusimbench.schemas.blocks import raw_bytes
+from gpusimbench.schemas.block_parts import raw_bytes
 from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fingerprint import in_one_thread, load_compiled
