@@ -214,7 +214,7 @@ class Intervention:
 
     @property
     def kind(self) -> InterventionKind:
-        """What it does, and what follows."""
+        """The kind of the intervention: what it does, and what follows."""
         return KINDS[self.name]
 
     def stops(self, last: int) -> range:

@@ -51,7 +51,7 @@ class ReplayPlan:
         return replace(self, timeout=float(min(max(_LEAST_S, math.ceil(_LONGER * ran)), _MOST_S)))
 
     def arguments(self, recording: Path) -> list[str]:
-        """Of gsb-record, for a recording."""
+        """Arguments of gsb-record that replay a recording."""
         given = ["--replay", as_path(recording), "--runs", str(self.runs), "--out", as_path(self.out)]
         if self.python is not None:
             given += ["--python", as_path(self.python)]

@@ -57,7 +57,7 @@ class Result:
 
     @property
     def findings(self) -> list[Finding]:
-        """Of all configurations."""
+        """The findings of all configurations."""
         return [finding for one in self.compared for finding in one.findings]
 
     @property
@@ -90,7 +90,7 @@ class Result:
 
     @property
     def exit_code(self) -> ExitCode:
-        """Of gsb-compare."""
+        """The exit code of gsb-compare."""
         lost = bool(self.unreadable or self.lost)
         return exit_code_of(failing=bool(self.failing), lost=lost, decided=self.comparable and not self.open)
 

@@ -176,7 +176,7 @@ def legend(result: Result) -> list[str]:
 
 
 def settings_line(result: Result) -> str:
-    """What decides."""
+    """The settings that decide the verdict."""
     settings = result.settings
     gates = ", ".join(axis.value for axis in Axis if axis in settings.gates)
     if settings.expect_same:

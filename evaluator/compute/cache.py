@@ -202,7 +202,7 @@ class Store:
         return found
 
     def key(self, function: Callable[..., Any], item: Any) -> str:
-        """Of a function's result for one item."""
+        """The name under which a function's result for an item is kept."""
         return self.keys(function, [item])[0]
 
     def get(self, key: str, kind: Any) -> Any:

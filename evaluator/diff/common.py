@@ -58,7 +58,7 @@ class CommonField:
 
     @property
     def unit(self) -> str:
-        """Of the numbers."""
+        """The unit of the numbers."""
         return self.only or self.a.unit
 
     @property

@@ -85,7 +85,7 @@ def arrays(a: Selection, b: Selection, program: ProgramDifference | None) -> lis
 
 
 def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | None) -> tuple[str, ...]:
-    """What a reader must know."""
+    """Sentences that a reader must see beside the difference."""
     found = []
     for side in dict.fromkeys((a.recording, b.recording)):
         if side.status in ("failed", "invalid"):

@@ -27,7 +27,7 @@ class Selection:
         return slice(self.envs.start, self.envs.stop)
 
     def side(self) -> Side:
-        """What the result says of it."""
+        """The side as results describe it."""
         r = self.recording
         version = r.simulation.version if r.simulation else ""
         label = f"{engine_name(r.configuration.simulator, r.simulation)} {version}".strip()

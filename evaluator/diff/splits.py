@@ -221,5 +221,5 @@ class Classes:
 
 
 def step_range(steps: list[int]) -> StepRange:
-    """Of at least one step."""
+    """The range of some steps, of which there is at least one."""
     return StepRange(len(steps), steps[0], steps[-1])

@@ -180,7 +180,7 @@ def walk_states(
 
 
 def walk_hashes(hashes: CommonHashes, *, classes: bool) -> Agreement:
-    """The same of recorded hashes."""
+    """Compare recorded hashes, as `walk_states` compares states."""
     agreement = Agreement(hashes.a.shape[1], hashes.b.shape[1], classes=classes, phase=hashes.phase)
     for begin in range(0, len(hashes.steps_a), _HASH_ROWS):
         rows = slice(begin, begin + _HASH_ROWS)

@@ -95,7 +95,7 @@ def warnings(of: Outcome) -> Iterator[str]:
 
 
 def record(of: Outcome) -> dict[str, object]:
-    """Of one policy, for JSON."""
+    """The outcome of one policy as JSON has it."""
     return {**values_of(of), "warnings": list(warnings(of))}
 
 

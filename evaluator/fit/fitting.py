@@ -112,7 +112,7 @@ class _Runs:
         self.start: Recording | None = None
 
     def arguments(self, options: Mapping[str, str]) -> list[str]:
-        """Of gsb-record."""
+        """Arguments of gsb-record for these options."""
         asked = self._asked
         words = [f"--option={name}={value}" for name, value in {**asked.given, **options}.items()]
         steps = [] if asked.dt is None else [f"--dt={asked.dt!r}", f"--stride={self._per_row(asked.dt)}"]

@@ -62,7 +62,7 @@ class CoTenants:
 
     @property
     def presence(self) -> Presence:
-        """What is known."""
+        """Whether another process was there, as far as is known."""
         return Presence.SOME if self.signs else Presence.NONE if self.looked else Presence.UNKNOWN
 
 

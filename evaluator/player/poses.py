@@ -134,7 +134,7 @@ def _frames(recording: Recording, motion: Motion, env: int, rows: slice) -> tupl
 
 
 def _with_path(recording: Recording, error: DamagedRecording) -> DamagedRecording:
-    """The same, with the file that it is about."""
+    """The error, with the path of the recording before its text."""
     return DamagedRecording(f"{recording.path}: {str(error).removeprefix(f'{recording.path}: ')}")
 
 

@@ -194,5 +194,5 @@ class Plan:
         return [*given, "--no-view", "--compression", "zstd", "--out", out]
 
     def command(self, arm: Arm, out: str, saved: str = "") -> str:
-        """The same as a user would type it."""
+        """The command that records an arm, as a user would type it."""
         return shlex.join(["gsb-record", *self.arguments(arm, out, saved)])

@@ -250,7 +250,7 @@ def _other_number(how: str, n_env: int) -> bool:
 
 
 def _slots(arms: Arms) -> Asked | Missing:
-    """The same initial states in other slots."""
+    """Whether the same initial states give the same results in other slots."""
     both = _begun_otherwise(arms, "shift")
     if isinstance(both, Missing):
         return both

@@ -50,7 +50,7 @@ class Described(ABC):
 
     @property
     def configuration(self) -> RunConfiguration:
-        """What was asked."""
+        """The configuration that was asked of the run."""
         return self.provenance.configuration
 
     @property

@@ -158,7 +158,7 @@ class Recording(Described):
 
     @cached_property
     def action_streams(self) -> dict[str, ActionStream]:
-        """What each phase applied, by phase."""
+        """The actions that were applied, by phase."""
         return read_action_streams(self._messages, n_env=self.configuration.n_env)
 
     def fingerprints(self, phase: str) -> Fingerprints | None:

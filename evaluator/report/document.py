@@ -75,7 +75,7 @@ _OF_BODIES = (mechanics.section, playback.section, density.section, consistency.
 
 
 def report(source: Source) -> Document:
-    """All that an evaluation says."""
+    """The whole report of an evaluation."""
     made_by: tuple[Block, ...] = (
         Text("Made with:"),
         Code((source.command,)),

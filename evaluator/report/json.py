@@ -112,7 +112,7 @@ def _convergence(one: Convergence) -> dict[str, Any]:
 
 
 def dump_json(evaluation: Evaluation) -> str:
-    """The same as text, ending in a newline."""
+    """The JSON document of an evaluation as text, ending in a newline."""
     return dump(to_json(evaluation))
 
 

@@ -62,7 +62,7 @@ def ranked_throughput(fps: Estimate) -> float:
 
 
 def ranked_words(fps: Estimate) -> str:
-    """The same with its unit."""
+    """The throughput of `ranked_throughput` in words, with its unit."""
     speeds = fps.of(Throughput).speeds
     return speeds.slowest if speeds else f"{ranked_throughput(fps):,.0f} {FPS.unit}"
 

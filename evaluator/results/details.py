@@ -196,7 +196,7 @@ class JointsBetweenEnvs(OverRuns):
 
 @dataclass(frozen=True)
 class JointsBetweenRuns(Details):
-    """The same between runs; see BetweenRuns."""
+    """Of distances in joint space between runs; see BetweenRuns."""
 
     n_run: int = 0
     joints: int = 0

@@ -169,7 +169,7 @@ class Speeds:
 
     @property
     def slowest(self) -> str:
-        """What every run reaches."""
+        """The throughput that every run reaches, in words."""
         return f"{self.outcomes[0].said} env-steps/s in the slowest of {len(self.outcomes)} outcomes"
 
     @property

@@ -92,7 +92,7 @@ def read(path: Path, most: int | None = None) -> list[Demonstration]:
 
 
 def _of_group(path: Path, group: Any) -> Demonstration:
-    """Of a Minari episode."""
+    """The demonstration of a Minari episode."""
     rewards = read_array(path, group, "rewards")
     flags = [read_array(path, group, name) for name in ("terminations", "truncations")]
     physics = {}

@@ -32,7 +32,7 @@ class PlannedRun:
 
     @property
     def configuration(self) -> RunConfiguration:
-        """What is asked."""
+        """The configuration that is asked of the run."""
         return self.provenance.configuration
 
     def to_json(self) -> dict[str, Any]:

@@ -82,7 +82,7 @@ def provenance_of(file: Integrity) -> Provenance:
 
 
 def configuration_of(file: Integrity) -> RunConfiguration:
-    """What was asked of the run."""
+    """The configuration that was asked of the run."""
     return provenance_of(file).configuration
 
 

@@ -44,7 +44,7 @@ class Descent:
 
     @property
     def acceleration(self) -> float:
-        """Of the ball [m/s2]."""
+        """The acceleration of the ball [m/s2]."""
         return 5.0 / 7.0 * self.steepest
 
     @property

@@ -103,7 +103,7 @@ class World:
 
     @property
     def mass(self) -> Array:
-        """Of the moving bodies [kg]."""
+        """The masses of the moving bodies [kg]."""
         return np.array([body.mass for body in self.moving])
 
     @property

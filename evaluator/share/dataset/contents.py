@@ -177,7 +177,7 @@ def sum_of(path: Path) -> Sum:
 
 
 def sum_of_bytes(data: bytes) -> Sum:
-    """Of bytes."""
+    """The size and the digest of some bytes."""
     return Sum(len(data), hashlib.sha256(data).hexdigest())
 
 
@@ -196,7 +196,7 @@ class LookedAt:
 
     @property
     def run(self) -> Run | None:
-        """What was read; None where it is damaged."""
+        """The run that was read; None where the file is damaged."""
         return self.read if isinstance(self.read, Run) else None
 
 

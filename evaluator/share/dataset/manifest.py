@@ -99,7 +99,7 @@ class Manifest:
 
     @property
     def sums(self) -> dict[str, Sum]:
-        """Of all files that it names, by path."""
+        """The sums of all files that the manifest names, by path."""
         return {file.path: file.sum for file in (*self.files, *self.written)}
 
 

@@ -67,7 +67,7 @@ class Kind(Enum):
 
     @property
     def code(self) -> ExitCode:
-        """What the command ends with."""
+        """The exit code that a problem of this kind gives the command."""
         return self.value[1]
 
 

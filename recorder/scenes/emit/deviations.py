@@ -12,7 +12,7 @@ MEAN = "the mean of the two coefficients"
 
 
 def materials(scene: Scene) -> list[Material]:
-    """Of the scene's bodies, each name once."""
+    """The materials of the scene's bodies, each name once."""
     return list({body.material.name: body.material for body in scene.bodies}.values())
 
 
