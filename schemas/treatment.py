@@ -70,7 +70,7 @@ def alike(actions: str) -> bool:
 
 
 def snapshot_name(step: int) -> str:
-    """Of the attachment with the snapshot after that step."""
+    """The name of the attachment with the snapshot after that step."""
     return f"snapshot-{step}.npz"
 
 

@@ -142,6 +142,6 @@ class DifferingSettings:
 
 
 def sorted_out(differing: tuple[Setting, ...], original: Recording, replay: Recording) -> DifferingSettings:
-    """Of all that differs between two recordings, what can explain other numbers."""
+    """Those of the differing settings of two recordings that can explain other numbers."""
     others = [setting for setting in differing if is_other_package(setting, original, replay)]
     return DifferingSettings(tuple(s for s in differing if s not in others and s.name not in _FREE), len(others))

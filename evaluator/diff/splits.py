@@ -153,7 +153,7 @@ class Agreement:
         self._equal = Counts()
 
     def add(self, steps: NDArray[np.int64], differ: NDArray[np.bool_]) -> None:
-        """Which pairs differ, [step, pair]."""
+        """Take in some steps: which pairs differ at each, [step, pair]."""
         for step, row in zip(steps.tolist(), differ, strict=True):
             count = int(np.count_nonzero(row))
             if count and self.first is None:

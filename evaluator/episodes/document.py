@@ -29,7 +29,7 @@ _FEW_ENVS = 8
 
 
 def episodes_document(policy: Outcome, against: Outcome | None, comparison: Comparison | None) -> Document:
-    """Of one policy, or of two and their comparison."""
+    """The document of one policy, or of two and their comparison."""
     blocks: list[Block] = []
     if comparison is not None:
         blocks.append(Text(_verdict(comparison)))

@@ -35,7 +35,7 @@ class Presence(Enum):
 
 @dataclass(frozen=True)
 class Sign:
-    """That another process was there.
+    """A sign that another process was there.
 
     moment     a checkpoint, or "timed"
     processes  how many NVML listed; None where the sign is another

@@ -167,7 +167,7 @@ class Plan:
         return self.steps if n_env > MANY * self.n_env else self.stride
 
     def arguments(self, arm: Arm, out: str, saved: str = "") -> list[str]:
-        """Of gsb-record, for one arm.
+        """Arguments of gsb-record for one arm.
 
         saved  the recording with the snapshot that a continued arm begins with
         """

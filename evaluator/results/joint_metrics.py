@@ -60,7 +60,7 @@ def run_distances(spaces: list[JointSpace], unit: str) -> NDArray[np.float64]:
 
 
 def _between_envs(unit: str, group: GroupRuns) -> list[float | Missing]:
-    """Of every run; a run that did not record the sample step has none."""
+    """A value of every run; a run that did not record the sample step has none."""
     runs = group.at_sample
     spaces = joint_spaces(runs, unit)
     if not isinstance(spaces, Missing) and runs[0].apart_by_design:

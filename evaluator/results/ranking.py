@@ -176,7 +176,7 @@ def _timed_alike(sweep: Sweep) -> Hashable:
 
 
 def _timed_otherwise(groups: Sequence[GroupResult]) -> dict[str, str]:
-    """By label, why the throughput of a group is not compared: it was timed over other steps than most."""
+    """Why the throughput of a group is not compared, by label: it was timed over other steps than most."""
     timed = {r.label: window_key(r.group.key, r.timed) for r in groups if r.timed.windows}
     if not timed:
         return {}

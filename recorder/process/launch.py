@@ -333,7 +333,7 @@ def _result(
 
 
 def how_it_died(returncode: int) -> str:
-    """In words, what a return code of subprocess.Popen says."""
+    """What a return code of subprocess.Popen says, in words."""
     if returncode >= 0:
         return f"ended with exit code {returncode}"
     try:

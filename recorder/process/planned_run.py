@@ -46,7 +46,7 @@ class PlannedRun:
 
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> PlannedRun:
-        """From what to_json gave."""
+        """The run of what to_json gave."""
         return cls(
             Provenance.from_json(record["provenance"]),
             record["end_killed"],

@@ -56,7 +56,7 @@ class Stage:
         self._inside += weight
 
     def share(self) -> float:
-        """Of the whole work, done; 0 where nobody knows."""
+        """The share of the whole work that is done; 0 where nobody knows."""
         weight = self._weights[self.done] if self.done < len(self._weights) else 0.0
         whole = sum(self._weights)
         return (self._passed + min(self._inside, weight)) / whole if whole else 0.0

@@ -66,7 +66,7 @@ class EnvView:
 
     @property
     def name(self) -> str:
-        """Of its frame, and the beginning of others."""
+        """The name of its frame, and the beginning of the names of others."""
         return f"env{self.number}"
 
     def entities(self) -> list[Any]:

@@ -54,7 +54,7 @@ class Descent:
 
     @property
     def foot_speed(self) -> float:
-        """At the foot, sqrt(2 a length) [m/s]."""
+        """The speed at the foot, sqrt(2 a length) [m/s]."""
         return math.sqrt(2.0 * self.acceleration * self.length)
 
     @property

@@ -57,7 +57,7 @@ class Moving:
 
     @property
     def reach(self) -> float:
-        """From the centre to the farthest point [m]."""
+        """The distance from the centre to the farthest point [m]."""
         return self.radius + self.half * math.sqrt(3.0)
 
 

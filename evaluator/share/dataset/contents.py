@@ -164,7 +164,7 @@ class Sum:
 
 
 def sum_of(path: Path) -> Sum:
-    """Of a file; GsbError where it cannot be read."""
+    """The size and the digest of a file; GsbError where it cannot be read."""
     digest, size = hashlib.sha256(), 0
     try:
         with path.open("rb") as stream:

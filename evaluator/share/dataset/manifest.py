@@ -104,7 +104,7 @@ class Manifest:
 
 
 def versions() -> dict[str, str]:
-    """Of this project, and of what it computes and writes with."""
+    """Versions of this project, and of what it computes and writes with."""
     return {"gpusimbench": schemas.__version__, "python": python_version()} | {
         name: found for name in _PACKAGES if (found := version_of(name))
     }

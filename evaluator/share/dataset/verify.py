@@ -62,7 +62,7 @@ class Kind(Enum):
 
     @property
     def word(self) -> str:
-        """As in a line of the command."""
+        """The word for it in a line of the command."""
         return self.value[0]
 
     @property

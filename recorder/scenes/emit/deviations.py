@@ -17,7 +17,7 @@ def materials(scene: Scene) -> list[Material]:
 
 
 def materials_and_robot(scene: Scene) -> list[Material]:
-    """Of the scene's bodies and its robot, each name once."""
+    """The materials of the scene's bodies and its robot, each name once."""
     robot = [] if scene.robot is None else [scene.robot.material]
     return list({material.name: material for material in (*materials(scene), *robot)}.values())
 

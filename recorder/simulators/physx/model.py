@@ -52,7 +52,7 @@ class Model:
 
     @property
     def gravity(self) -> Vector:
-        """That acts [m/s^2]: none where the model's flags switch it off."""
+        """The gravity that acts [m/s^2]: none where the model's flags switch it off."""
         options = self.compiled.model.opt
         off = int(options.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         return (0.0, 0.0, 0.0) if off else vector(options.gravity)
