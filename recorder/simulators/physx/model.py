@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Vector
-from gpusimbench.recorder.scenes.emit.usd import Apis
+from gpusimbench.recorder.scenes.emit.usd_prim import Apis
 from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import compile_scene
