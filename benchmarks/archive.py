@@ -25,7 +25,8 @@ from benchmarks.arguments import parser
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import decode_state, raw_bytes
+from gpusimbench.schemas.block_parts import raw_bytes
+from gpusimbench.schemas.blocks import decode_state
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.packing import pack, unpack
 

@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from benchmarks.arguments import parser
-from gpusimbench.evaluator.compare.compare import Side, compare
+from gpusimbench.evaluator.compare.compare import compare
 from gpusimbench.evaluator.compare.finding import DEFAULT_GATES, Settings
 from gpusimbench.evaluator.compute.work import HERE
+from gpusimbench.evaluator.inputs.file_set import FileSet
 from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.metrics.memory import Checkpoints
 from gpusimbench.evaluator.missing import Missing
@@ -249,7 +250,7 @@ def _compare_placed(rng: np.random.Generator, number: int, factor: float, settin
         placed = CUBES + rng.normal(scale=scale, size=(1, 1, 2)) + rng.normal(scale=scale, size=(N_ENV, len(CUBES), 2))
         run = Run("placed", f"2026-01-01T00:00:{index:02}Z", float(np.exp(rng.normal(scale=0.01))), 10**8, 2 * 10**8)
         sides[head].append(read_run(run, f"{number}-{index:04d}", placed))
-    base, head_side = (Side(tuple(side), (), ()) for side in sides)
+    base, head_side = (FileSet(tuple(side)) for side in sides)
     return compare(base, head_side, settings, HERE).exit_code
 
 
@@ -270,8 +271,8 @@ def _mean(runs: Sequence[Run]) -> float:
     return float(np.mean([run.fps for run in runs]))
 
 
-def _side(runs: Sequence[Run], name: str) -> Side:
-    return Side(tuple(read_run(run, f"{name}-{index:04d}") for index, run in enumerate(runs)), (), ())
+def _side(runs: Sequence[Run], name: str) -> FileSet:
+    return FileSet(tuple(read_run(run, f"{name}-{index:04d}") for index, run in enumerate(runs)))
 
 
 def read_run(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -> ReadRun:

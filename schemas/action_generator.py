@@ -123,7 +123,7 @@ class JointTargets:
     upper: tuple[float, ...]
 
     def grids_of(self) -> tuple[float, ...]:
-        """Of which the targets of each joint are whole multiples [unit]."""
+        """The numbers of which the targets of each joint are whole multiples [unit]."""
         return (GRID,) * len(self.joints)
 
     def grid(self) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.float32]]:

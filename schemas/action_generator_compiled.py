@@ -24,7 +24,7 @@ def _fill(words: Any, joint: Any, first: Any, count: Any, grid: Any, rows: Any) 
             rows[row, place] = np.float32(np.int32(first[place] + np.int32(index))) * grid[place]
 
 
-def _made() -> Callable[..., None]:
+def _compile() -> Callable[..., None]:
     if numba.config.DISABLE_JIT:  # a loop of Python's own would take a thousand times as long as numpy
         raise ImportError("numba compiles nothing: NUMBA_DISABLE_JIT is set")
     try:
@@ -37,5 +37,5 @@ def _made() -> Callable[..., None]:
     return compiled
 
 
-fill = _made()
+fill = _compile()
 """_fill for C-contiguous arrays; it lets go of the interpreter's lock."""

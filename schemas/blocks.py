@@ -1,16 +1,14 @@
-"""Arrays to messages and back, bit for bit.
+"""Messages to arrays, bit for bit: what block_parts.py makes, read back, checked, and packed or unpacked.
 
-A packed repeated number is tag, length, little-endian bytes; protobuf lets fields follow each other in any order. So a
-block is its small fields, serialised as usual, followed by the array's own bytes: no Python number is ever made.
-Blocks of states may hold their array packed instead (schemas.packing), and blocks of actions none, where a generator
-draws it again (schemas.action_generator).
+A block is its small fields followed by the array's own bytes. Blocks of states may hold their array packed instead
+(schemas.packing), and blocks of actions none, where a generator draws it again (schemas.action_generator).
 """
 
 from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from typing import Any
@@ -20,112 +18,32 @@ from numpy.typing import NDArray
 
 from gpusimbench.schemas import packing, wire
 from gpusimbench.schemas.action_generator import Generator, Streams
+from gpusimbench.schemas.block_parts import (
+    ACTION,
+    ARRAY_FIELDS,
+    FINGERPRINT,
+    GENERATED,
+    PACKED,
+    RAW,
+    STATE,
+    array_head,
+    raw_bytes,
+)
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mcap import decompression
 from gpusimbench.schemas.mcap.crc import second
-from gpusimbench.schemas.mcap.writer import Buffer, Part
+from gpusimbench.schemas.mcap.writer import Buffer
 from gpusimbench.schemas.messages import message_class
-
-_STATE = "gsb.v1.StateBlock"
-_ACTION = "gsb.v1.ActionBlock"
-_FINGERPRINT = "gsb.v1.FingerprintBlock"
-
-ARRAY_FIELDS = {"data": "<f4", "data64": "<f8", "hashes": "<u8"}
-"""Fields that hold whole arrays, packed, and their dtypes."""
 
 STATE_HEAD_BYTES = 256
 """In which the small fields of a StateBlock have room."""
 
-_RAW, _PACKED, _GENERATED = 0, 1, 2  # of gsb.v1.Encoding
-_ENCODINGS = {_STATE: (_RAW, _PACKED), _ACTION: (_RAW, _GENERATED), _FINGERPRINT: (_RAW,)}
+_ENCODINGS = {STATE: (RAW, PACKED), ACTION: (RAW, GENERATED), FINGERPRINT: (RAW,)}
 _WORDS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
 _MOST_DRAWN = 128 << 20  # bytes of a block of actions: a recorder's block has 50 steps of a 64th of the environments
 _STREAMS = ("stream_env", "stream_begun")  # of an ActionBlock, fixed32
 # the fields that say how an array is stored
 _STORAGE = ("encoding", "packed", "data", "data64", "word_bytes", *_STREAMS)
-
-
-def little_endian(array: NDArray[Any]) -> NDArray[Any]:
-    """The array, C-contiguous and little-endian; no copy where it is so already."""
-    return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
-
-
-def raw_bytes(array: NDArray[Any]) -> memoryview:
-    """The bytes of a contiguous array, without a copy."""
-    return array.reshape(-1).view(np.uint8).data
-
-
-def _data_field(array: NDArray[Any]) -> str:
-    fields = {np.dtype("<f4"): "data", np.dtype("<f8"): "data64"}
-    try:
-        return fields[array.dtype]
-    except KeyError:
-        raise ValueError(f"states and actions are float32 or float64, not {array.dtype}") from None
-
-
-def _number(name: str, field: str) -> int:
-    number: int = message_class(name).DESCRIPTOR.fields_by_name[field].number
-    return number
-
-
-def state_parts(
-    array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int
-) -> tuple[Part, Part]:
-    """A StateBlock from an array [step, env, item, width]: its small fields, and the array's own bytes with their CRC.
-
-    The array is not copied where it is contiguous and little-endian, and is not to change before it is written.
-    """
-    sides = ("steps", "envs", "items", "width")
-    return _parts(_STATE, array, sides, first_step=first_step, stride=stride, env_start=env_start,
-                  sim_time_ns=sim_time_ns)  # fmt: skip
-
-
-def action_parts(
-    array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int
-) -> tuple[Part, Part]:
-    """An ActionBlock from an array [step, env, width], as of `state_parts`."""
-    sides = ("steps", "envs", "width")
-    return _parts(_ACTION, array, sides, first_step=first_step, stride=stride, env_start=env_start,
-                  sim_time_ns=sim_time_ns)  # fmt: skip
-
-
-def generated_action(parts: tuple[Part, Part], streams: Streams, env_start: int) -> bytes:
-    """The ActionBlock of these parts, as of `action_parts`, without its array, which a generator draws again.
-
-    streams  of its environments, the first of which is env_start
-    """
-    head, array = parts
-    small = bytes(head.data).removesuffix(wire.delimited_head(_number(_ACTION, "data"), len(array.data)))
-    usual = Streams.usual(len(streams.env), env_start)
-    stored = message_class(_ACTION)(
-        encoding=_GENERATED,
-        stream_env=streams.env.tolist() if (streams.env != usual.env).any() else (),
-        stream_begun=streams.begun.tolist() if streams.begun.any() else (),
-    )
-    return small + bytes(stored.SerializeToString())
-
-
-def _parts(name: str, array: NDArray[Any], sides: Sequence[str], **small: int) -> tuple[Part, Part]:
-    array = little_endian(array)
-    payload = raw_bytes(array)
-    crc = zlib.crc32(payload)
-    header = message_class(name)(**dict(zip(sides, array.shape, strict=True)), **small, crc32=crc)
-    head = wire.delimited_head(_number(name, _data_field(array)), len(payload))
-    return Part(header.SerializeToString() + head), Part(payload, crc)
-
-
-def encode_fingerprints(hashes: NDArray[np.uint64], **where: int) -> bytes:
-    """A serialised FingerprintBlock of what `fingerprint_parts` takes."""
-    return b"".join(part.data for part in fingerprint_parts(hashes, **where))
-
-
-def fingerprint_parts(hashes: NDArray[np.uint64], **where: int) -> tuple[Part, Part]:
-    """A FingerprintBlock from hashes [step, env], as of `state_parts`; where: first_step, stride and env_start."""
-    steps, envs = hashes.shape
-    header = message_class(_FINGERPRINT)(steps=steps, envs=envs, **where)
-    payload = raw_bytes(little_endian(hashes))
-    head = wire.delimited_head(_number(_FINGERPRINT, "hashes"), len(payload))
-    return Part(header.SerializeToString() + head), Part(payload, zlib.crc32(payload))
 
 
 @dataclass(frozen=True)
@@ -223,29 +141,29 @@ def _decode(
     header = scanned.header
     _check_size(name, scanned, shape(header))
     try:
-        if header.encoding == _PACKED:
+        if header.encoding == PACKED:
             array = packing.unpack(scanned.packed, shape(header), _dtype(scanned))
-        elif header.encoding == _GENERATED and draw is not None:
+        elif header.encoding == GENERATED and draw is not None:
             array = draw(scanned)
         else:
             array = np.frombuffer(scanned.array, dtype=_dtype(scanned)).reshape(shape(header))
     except ValueError as error:  # also numpy's, of an array without numbers whose other sides are too many
         raise DamagedRecording(f"the {name} at step {header.first_step} cannot be read: {error}") from None
     array.flags.writeable = False
-    claimed = header.crc32 if header.encoding != _GENERATED else header.crc32 or 0  # what is drawn is always checked
+    claimed = header.crc32 if header.encoding != GENERATED else header.crc32 or 0  # what is drawn is always checked
     if claimed is not None and _array_crc(scanned, data, array, crc) != claimed:
         raise DamagedRecording(f"the {name} at step {header.first_step} fails its CRC")
     return header, array
 
 
 def _array_crc(scanned: _Scanned, data: bytes | memoryview, array: NDArray[Any], crc: int | None) -> int:
-    if crc is None or scanned.before is None or scanned.header.encoding != _RAW:
+    if crc is None or scanned.before is None or scanned.header.encoding != RAW:
         return zlib.crc32(raw_bytes(array))
     return second(crc, zlib.crc32(memoryview(data)[: scanned.before]), len(scanned.array))
 
 
 def _dtype(scanned: _Scanned) -> np.dtype[Any]:
-    if scanned.header.encoding in (_RAW, _GENERATED):
+    if scanned.header.encoding in (RAW, GENERATED):
         return np.dtype(ARRAY_FIELDS.get(scanned.field, "<f4"))
     if scanned.header.word_bytes not in _WORDS:
         raise DamagedRecording(f"a packed block has numbers of {scanned.header.word_bytes} bytes, neither 4 nor 8")
@@ -260,12 +178,12 @@ def _check_size(name: str, scanned: _Scanned, shape: tuple[int, ...]) -> int:
             f"a block uses encoding {encoding}, which this version does not read; update gpusimbench"
         )
     size = math.prod(shape) * _dtype(scanned).itemsize
-    if encoding == _PACKED:
+    if encoding == PACKED:
         try:
             packing.check_frame(scanned.packed, size)
         except ValueError as error:
             raise DamagedRecording(f"a packed {name} message of shape {shape} is damaged: {error}") from None
-    elif size != len(scanned.array) and encoding == _RAW:
+    elif size != len(scanned.array) and encoding == RAW:
         raise DamagedRecording(
             f"a {name} message announces an array of shape {shape}, {size} bytes, and holds {len(scanned.array)}"
         )
@@ -280,13 +198,13 @@ def decode_state(data: bytes | memoryview, *, crc: int | None = None) -> tuple[B
     The array is a view of `data` where it is not packed. Raises DamagedRecording where sizes disagree, the CRC does not
     match, or the encoding is not known.
     """
-    result: tuple[BlockHeader, NDArray[Any]] = _decode(_STATE, data, _state_shape, crc)
+    result: tuple[BlockHeader, NDArray[Any]] = _decode(STATE, data, _state_shape, crc)
     return result
 
 
 def state_header(data: bytes | memoryview) -> BlockHeader:
     """The small fields of a StateBlock; its array is not looked at."""
-    return _scan(_STATE, memoryview(data)).header
+    return _scan(STATE, memoryview(data)).header
 
 
 def state_header_in(head: memoryview, size: int) -> BlockHeader | None:
@@ -294,7 +212,7 @@ def state_header_in(head: memoryview, size: int) -> BlockHeader | None:
 
     size  of the whole message
     """
-    by_number = message_class(_STATE).DESCRIPTOR.fields_by_number
+    by_number = message_class(STATE).DESCRIPTOR.fields_by_number
     values: dict[str, int] = {}
     position = 0
     with suppress(ValueError):  # the array is cut short
@@ -312,8 +230,8 @@ def state_header_in(head: memoryview, size: int) -> BlockHeader | None:
 
 def state_bytes(data: bytes | memoryview) -> int:
     """Bytes of a StateBlock's array, which is not unpacked; DamagedRecording where the message cannot hold them."""
-    scanned = _scan(_STATE, memoryview(data))
-    return _check_size(_STATE, scanned, _state_shape(scanned.header))
+    scanned = _scan(STATE, memoryview(data))
+    return _check_size(STATE, scanned, _state_shape(scanned.header))
 
 
 def pack_state(data: bytes | memoryview, *, level: int = packing.DEFAULT_LEVEL) -> bytes:
@@ -323,19 +241,18 @@ def pack_state(data: bytes | memoryview, *, level: int = packing.DEFAULT_LEVEL) 
     """
     _, array = decode_state(data)
     frame = packing.pack(array, level=level)
-    stored = message_class(_STATE)(encoding=_PACKED, word_bytes=array.dtype.itemsize, packed=frame)
-    packed, unpacked = _without_array(_STATE, data) + bytes(stored.SerializeToString()), unpack_state(data)
+    stored = message_class(STATE)(encoding=PACKED, word_bytes=array.dtype.itemsize, packed=frame)
+    packed, unpacked = _without_array(STATE, data) + bytes(stored.SerializeToString()), unpack_state(data)
     return packed if len(packed) < len(unpacked) else unpacked
 
 
 def unpack_state(data: bytes | memoryview) -> bytes:
     """The same StateBlock with its array as it is; the inverse of pack_state."""
-    return b"".join(_with_array(_STATE, data, decode_state(data)[1]))
+    return b"".join(_with_array(STATE, data, decode_state(data)[1]))
 
 
 def _with_array(name: str, data: bytes | memoryview, array: NDArray[Any]) -> tuple[Buffer, Buffer, Buffer]:
-    payload = raw_bytes(array)
-    return _without_array(name, data), wire.delimited_head(_number(name, _data_field(array)), len(payload)), payload
+    return _without_array(name, data), array_head(name, array), raw_bytes(array)
 
 
 def _without_array(name: str, data: bytes | memoryview) -> bytes:
@@ -357,7 +274,7 @@ def decode_action(
     most       environments times steps that are drawn; DamagedRecording where a block announces more
     """
     result: tuple[BlockHeader, NDArray[Any]] = _decode(
-        _ACTION, data, lambda h: (h.steps, h.envs, h.width), draw=lambda scanned: _drawn(scanned, generator, most)
+        ACTION, data, lambda h: (h.steps, h.envs, h.width), draw=lambda scanned: _drawn(scanned, generator, most)
     )
     return result
 
@@ -366,10 +283,10 @@ def raw_action(
     data: bytes | memoryview, generator: Generator | None, *, most: int = decompression.MAX_BYTES
 ) -> tuple[BlockHeader, tuple[Buffer, ...]]:
     """Header of an ActionBlock, and the same block with its array as it is, in parts: digests are of these bytes."""
-    header = _scan(_ACTION, memoryview(data)).header
-    if header.encoding == _RAW:
+    header = _scan(ACTION, memoryview(data)).header
+    if header.encoding == RAW:
         return header, (data,)
-    return header, _with_array(_ACTION, data, decode_action(data, generator, most=most)[1])
+    return header, _with_array(ACTION, data, decode_action(data, generator, most=most)[1])
 
 
 def _drawn(scanned: _Scanned, generator: Generator | None, most: int) -> NDArray[np.float32]:
@@ -394,5 +311,5 @@ def _drawn(scanned: _Scanned, generator: Generator | None, most: int) -> NDArray
 
 def decode_fingerprints(data: bytes | memoryview) -> tuple[BlockHeader, NDArray[np.uint64]]:
     """Header and hashes [step, env] of a FingerprintBlock."""
-    result: tuple[BlockHeader, NDArray[np.uint64]] = _decode(_FINGERPRINT, data, lambda h: (h.steps, h.envs))
+    result: tuple[BlockHeader, NDArray[np.uint64]] = _decode(FINGERPRINT, data, lambda h: (h.steps, h.envs))
     return result

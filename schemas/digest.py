@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.schemas.blocks import little_endian, raw_bytes
+from gpusimbench.schemas.block_parts import little_endian, raw_bytes
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.writer import Buffer
 
@@ -62,7 +62,7 @@ class ContentDigest:
 
         Rows that do not lie one behind the other are copied together, a megabyte at a time.
         """
-        digest = self._of(field, n_env)
+        digest = self._hash_of(field, n_env)
         together = len(array) if array.flags.c_contiguous else max(1, _GATHERED_BYTES // max(1, array[:1].nbytes))
         for begin in range(0, len(array), max(1, together)):
             digest.update(raw_bytes(little_endian(array[begin : begin + together])))
@@ -72,7 +72,7 @@ class ContentDigest:
 
         Different fields may be fed by different threads.
         """
-        digest = self._of(field, n_env)
+        digest = self._hash_of(field, n_env)
         arrays = [little_endian(column) for column in columns]
         if len(arrays) == 1:
             digest.update(raw_bytes(arrays[0]))
@@ -93,7 +93,7 @@ class ContentDigest:
         Rows are copied together into a megabyte, in two calls a megabyte: each call lets go of the interpreter's lock,
         and taking it again keeps a thread that launches kernels from going on. Parts of ranges are thousands of calls.
         """
-        digest = self._of(field, n_env)
+        digest = self._hash_of(field, n_env)
         steps = parts[0].shape[1]
         row = sum(part[:, :1].nbytes for part in parts)
         envs = np.cumsum([0, *(part.shape[0] * part.shape[2] for part in parts)])
@@ -106,7 +106,7 @@ class ContentDigest:
                 np.copyto(rows[:, first:stop].reshape(some.shape), some)
             digest.update(raw_bytes(rows))
 
-    def _of(self, field: StateField, n_env: int) -> Any:
+    def _hash_of(self, field: StateField, n_env: int) -> Any:
         name = state_name(field)
         if name not in self._hashes:
             line = f"{field.dtype} {n_env} {len(field.items)} {field.width}\n"

@@ -27,7 +27,7 @@ def _add_hashes(words: Any, position: Any, total: Any) -> None:
         total[row] += hashed
 
 
-def _made() -> Callable[[Any, int, Any], None]:
+def _compile() -> Callable[[Any, int, Any], None]:
     if numba.config.DISABLE_JIT:  # a loop of Python's own would take a thousand times as long as numpy
         raise ImportError("numba compiles nothing: NUMBA_DISABLE_JIT is set")
     try:
@@ -40,5 +40,5 @@ def _made() -> Callable[[Any, int, Any], None]:
     return compiled
 
 
-add_hashes = _made()
+add_hashes = _compile()
 """_add_hashes for words of 4 and 8 bytes, C-contiguous; it lets go of the interpreter's lock."""

@@ -68,7 +68,7 @@ class Parameter:
         return f"{self.kind}/{self.name}"
 
 
-def _of(kind: str, **units: str | tuple[str, float]) -> tuple[Parameter, ...]:
+def _parameters(kind: str, **units: str | tuple[str, float]) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(kind, name, *(unit if isinstance(unit, tuple) else (unit, None))) for name, unit in units.items()
     )
@@ -77,29 +77,29 @@ def _of(kind: str, **units: str | tuple[str, float]) -> tuple[Parameter, ...]:
 _INF = float("inf")
 
 PARAMETERS: tuple[Parameter, ...] = (
-    *_of("model", gravity="m/s^2", timestep="s", wind=("m/s", 0), density=("kg/m^3", 0), viscosity=("Pa s", 0)),
-    *_of(
+    *_parameters("model", gravity="m/s^2", timestep="s", wind=("m/s", 0), density=("kg/m^3", 0), viscosity=("Pa s", 0)),
+    *_parameters(
         "bodies", parent="name", position="m", orientation="wxyz", mass="kg", centre_of_mass="m", inertia="kg m^2",
         gravity_compensation=("", 0),
     ),
-    *_of(
+    *_parameters(
         "joints", type="name", body="name", anchor="m", axis="", reference="rad or m", range=("rad or m", _INF),
         stiffness=("N m/rad or N/m", 0), spring_reference="rad or m", damping=("N m s/rad or N s/m", 0),
         armature=("kg m^2 or kg", 0), frictionloss=("N m or N", 0), force_range=("N m or N", _INF),
         limit_solref="", limit_solimp="", margin=("rad or m", 0),
     ),
-    *_of(
+    *_parameters(
         "geoms", type="name", body="name", size="m", position="m", orientation="wxyz", friction="", condim="",
         contype="", conaffinity="", priority=("", 0), solref="", solimp="", solmix="", margin=("m", 0), gap=("m", 0),
     ),
-    *_of("pairs", condim="", friction="", solref="", solimp="", margin=("m", 0), gap=("m", 0)),
-    *_of(
+    *_parameters("pairs", condim="", friction="", solref="", solimp="", margin=("m", 0), gap=("m", 0)),
+    *_parameters(
         "tendons", path="name", range=("rad or m", _INF), stiffness=("N m/rad or N/m", 0), spring_length="rad or m",
         damping=("N m s/rad or N s/m", 0), armature=("kg m^2 or kg", 0), frictionloss=("N m or N", 0),
         force_range=("N m or N", _INF),
     ),
-    *_of("equalities", type="name", objects="name", active="", data="", solref="", solimp=""),
-    *_of(
+    *_parameters("equalities", type="name", objects="name", active="", data="", solref="", solimp=""),
+    *_parameters(
         "actuators", target="name", gear="", gain_type="name", gain="", bias_type="name", bias="", dynamics_type="name",
         dynamics="", control_range=("", _INF), force_range=("N m or N", _INF), activation_range=("", _INF),
     ),

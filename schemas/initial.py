@@ -104,7 +104,7 @@ class Initial:
         return cls(spread).of_kind(name, INITIAL_KINDS[name].read(found["value"])) if name else cls(spread)
 
     def of_kind(self, name: str, value: int | str) -> Initial:
-        """The same, of one of INITIAL_KINDS."""
+        """These initial states as a kind of INITIAL_KINDS has them, with the value of the kind."""
         changed: dict[str, Any] = {name: value}
         return replace(self, **changed)
 

@@ -45,7 +45,7 @@ class Location:
 
     @property
     def name(self) -> str:
-        """Of the file, without its folder."""
+        """The name of the file, without its folder."""
         first = next((part for part in _CHAINED.split(str(self)) if is_address(part)), str(self))
         return _visible(unquote(first.rstrip("/").rpartition("/")[2])) or str(self)
 

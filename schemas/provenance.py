@@ -108,8 +108,8 @@ class Provenance:
                 created_utc=checks.text(record, "created_utc"),
                 argv=checks.texts(record, "argv"),
                 configuration=RunConfiguration.from_json(checks.mapping(record, "configuration")),
-                host=_known(checks.mapping(record, "host"), _HOST),
-                gpus=tuple(_known(gpu, _GPU) for gpu in checks.objects(record, "gpus")),
+                host=_checked_kinds(checks.mapping(record, "host"), _HOST),
+                gpus=tuple(_checked_kinds(gpu, _GPU) for gpu in checks.objects(record, "gpus")),
                 software=_software(checks.mapping(record, "software")),
                 environment=checks.text_map(record, "environment"),
                 replay_of=ReplayOf.from_json(checks.mapping(record, "replay_of")) if "replay_of" in record else None,
@@ -246,7 +246,7 @@ class Simulation(EngineFacts):
                     for d in checks.objects(record, "deviations")
                 ),
                 fields=_fields(checks.objects(record, "fields")),
-                scene=_known(checks.mapping(record, "scene"), {"name": str, "sha256": str, "parameters": dict}),
+                scene=_checked_kinds(checks.mapping(record, "scene"), {"name": str, "sha256": str, "parameters": dict}),
                 env_origins=tuple(_point(o) for o in checks.items(record, "env_origins")),
                 timing_covers=checks.text(record, "timing_covers", default=""),
                 fresh_start=checks.text(record, "fresh_start", default=""),
@@ -287,7 +287,7 @@ _SOFTWARE: dict[str, type] = {"python": str, "implementation": str, "recorder": 
 _RECORDER: dict[str, type] = {"version": str, "commit": str, "modified": bool}
 
 
-def _known(record: dict[str, Any], kinds: dict[str, type]) -> dict[str, Any]:
+def _checked_kinds(record: dict[str, Any], kinds: dict[str, type]) -> dict[str, Any]:
     """The record, whose known keys have values of the right kind or null: a machine may not tell everything."""
     for key, kind in kinds.items():
         value = record.get(key)
@@ -305,8 +305,8 @@ def _known(record: dict[str, Any], kinds: dict[str, type]) -> dict[str, Any]:
 
 
 def _software(record: dict[str, Any]) -> dict[str, Any]:
-    _known(record, _SOFTWARE)
-    _known(record.get("recorder") or {}, _RECORDER)
+    _checked_kinds(record, _SOFTWARE)
+    _checked_kinds(record.get("recorder") or {}, _RECORDER)
     if record.get("packages"):
         checks.text_map(record, "packages")
     return record

@@ -94,7 +94,7 @@ def first(parts: Sequence[str], most: int, what: str = "") -> list[str]:
 
 
 def few(names: Sequence[str], most: int, what: str = "", *, by: str = ", ") -> str:
-    """The same in a line: "a, b and 3 more"."""
+    """The first of some names in a line: "a, b and 3 more"."""
     shown = first(names, most, what)
     return by.join(shown) if len(names) <= most else f"{by.join(shown[:-1])} {shown[-1]}"
 

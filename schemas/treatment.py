@@ -70,7 +70,7 @@ def alike(actions: str) -> bool:
 
 
 def snapshot_name(step: int) -> str:
-    """Of the attachment with the snapshot after that step."""
+    """The name of the attachment with the snapshot after that step."""
     return f"snapshot-{step}.npz"
 
 
@@ -214,7 +214,7 @@ class Intervention:
 
     @property
     def kind(self) -> InterventionKind:
-        """What it does, and what follows."""
+        """The kind of the intervention: what it does, and what follows."""
         return KINDS[self.name]
 
     def stops(self, last: int) -> range:

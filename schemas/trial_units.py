@@ -99,7 +99,7 @@ def unit_doubt(positions: npt.NDArray[Any], unit: str, names: Sequence[str], ext
     others = f" (and {len(odd) - 1} more of {len(names)})" if len(odd) > 1 else ""
     would = f"; {fitting[first]} would fit" if fitting[first] else ""
     asked = f"{unit} cannot be its unit" if wrong[first] else f"{unit} may not be its unit"
-    return UnitDoubt(f"trial {odd[first][0]}{others}: {_said(odd[first][1], extent)}: {asked}{would}", any(wrong))
+    return UnitDoubt(f"trial {odd[first][0]}{others}: {_reason(odd[first][1], extent)}: {asked}{would}", any(wrong))
 
 
 def _fitting(planar: _Planar, unit: str, extent: Extent) -> str:
@@ -129,7 +129,7 @@ def _heaped(planar: _Planar, extent: Extent) -> bool:
     return len(planar) / columns > max(3.0, len(planar) / 2)
 
 
-def _said(planar: _Planar, extent: Extent) -> str:
+def _reason(planar: _Planar, extent: Extent) -> str:
     if _heaped(planar, extent):
         x, y = np.ptp(planar, axis=0)
         return f"its {len(planar)} bodies with edges of {extent.edge:g} m lie within {x:.2g} m by {y:.2g} m"

@@ -54,7 +54,7 @@ def write_file(path: Path, content: bytes | str, *, durable: bool = True) -> Non
     GsbError where it cannot be written.
     """
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
-    with _said(path):
+    with _clear_error(path):
         if _is_stream(path):
             with FileIO(os.open(path, os.O_WRONLY | os.O_CLOEXEC), "wb") as stream:
                 _write_all(stream, data)
@@ -75,21 +75,21 @@ def write_files(files: Mapping[Path, bytes | str]) -> None:
         written: dict[Path, Path] = {}
         for path, content in files.items():
             data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
-            with _said(path):
+            with _clear_error(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 target = stack.enter_context(_temporary(path.parent))
                 _fill(target, data, durable=True)
                 written[path] = target.path
         _rename_all(written)
         for folder in dict.fromkeys(path.parent for path in written):
-            with _said(folder):
+            with _clear_error(folder):
                 flush_folder(folder)
 
 
 def _rename_all(written: Mapping[Path, Path]) -> None:
     with ExitStack() as kept, ExitStack() as undone:
         for path, temporary in written.items():
-            with _said(path):
+            with _clear_error(path):
                 if (earlier := _second_name(path)) is not None:
                     kept.callback(_remove, earlier)
                     undone.callback(_take_back, temporary, earlier, path)
@@ -144,7 +144,7 @@ def new_file(path: Path) -> Iterator[Target]:
     UsageError where the name is taken, GsbError where it cannot be written.
     """
     check_free(path)
-    with _said(path):
+    with _clear_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with _temporary(path.parent) as target:
             yield target
@@ -263,7 +263,7 @@ def _is_stream(path: Path) -> bool:
 
 
 @contextmanager
-def _said(path: Path) -> Iterator[None]:
+def _clear_error(path: Path) -> Iterator[None]:
     """One clear message where the disk takes no more."""
     try:
         yield

@@ -6,7 +6,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from gpusimbench.schemas.blocks import action_parts, state_parts
+from gpusimbench.schemas.block_parts import action_parts, state_parts
 
 
 def encode_state(array: NDArray[Any], **place: int) -> bytes:

@@ -22,7 +22,7 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import encode_fingerprints
+from gpusimbench.schemas.block_parts import encode_fingerprints
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import StateField, body_field
 from gpusimbench.schemas.messages import message_class

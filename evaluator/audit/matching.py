@@ -26,9 +26,9 @@ def match_of(found: Difference, original: Recording, replay: Recording) -> Match
         same_up_to_env_order=False if found.other_program else found.same_up_to_env_order,
         max_ulp=found.max_ulp,
         steps=steps.count if steps else 0,
-        left_out=_named(list(_left_out(found, original, replay))),
+        left_out=_listed(list(_left_out(found, original, replay))),
         signs_differ=found.signs_differ,
-        no_ulps=_named(list(_no_ulps(found))),
+        no_ulps=_listed(list(_no_ulps(found))),
     )
 
 
@@ -68,14 +68,14 @@ def _no_ulps(found: Difference) -> Iterator[str]:
     c = found.compared
     others = [field.field for field in c.fields if field.basis is not Basis.BITS]
     if others:
-        yield f"{_named(others)} cannot be compared by bits"
+        yield f"{_listed(others)} cannot be compared by bits"
     if c.unseen_steps:
         yield f"state hashes differ at {plural(c.unseen_steps, 'step')} of which no state was recorded"
     if found.other_program:
         yield "arrays of the program were compared by hashes alone"
 
 
-def _named(parts: Sequence[str]) -> str:
+def _listed(parts: Sequence[str]) -> str:
     return "; ".join(first(parts, _MOST_NAMED))
 
 
@@ -126,7 +126,7 @@ def unreproduced(originals: Sequence[Recording], replays: Sequence[Recording]) -
         return "of several originals, it is not known which were replayed: not all have state hashes"
     made = found[len(originals) :]
     left = [o.path.name for o, states in zip(originals, found, strict=False) if states not in made]
-    return f"of several originals, no replay gave the states of {_named(left)}" if left else ""
+    return f"of several originals, no replay gave the states of {_listed(left)}" if left else ""
 
 
 @dataclass(frozen=True)
@@ -142,6 +142,6 @@ class DifferingSettings:
 
 
 def sorted_out(differing: tuple[Setting, ...], original: Recording, replay: Recording) -> DifferingSettings:
-    """Of all that differs between two recordings, what can explain other numbers."""
+    """Those of the differing settings of two recordings that can explain other numbers."""
     others = [setting for setting in differing if is_other_package(setting, original, replay)]
     return DifferingSettings(tuple(s for s in differing if s not in others and s.name not in _FREE), len(others))

@@ -51,7 +51,7 @@ class ReplayPlan:
         return replace(self, timeout=float(min(max(_LEAST_S, math.ceil(_LONGER * ran)), _MOST_S)))
 
     def arguments(self, recording: Path) -> list[str]:
-        """Of gsb-record, for a recording."""
+        """Arguments of gsb-record that replay a recording."""
         given = ["--replay", as_path(recording), "--runs", str(self.runs), "--out", as_path(self.out)]
         if self.python is not None:
             given += ["--python", as_path(self.python)]
@@ -106,13 +106,13 @@ def make_replays(original: Recording, path: Path, plan: ReplayPlan, say: Callabl
         words = plan.program(original.configuration.seed)
         runs = run_program(words, plan.runs, plan.out, plan.timeout or 0, say)
         took = time.monotonic() - begun
-        return Replays(shlex.join(words), tuple(_made(run, original, path.name) for run in runs), "", took)
+        return Replays(shlex.join(words), tuple(_recording_beside(run, original, path.name) for run in runs), "", took)
     given = plan.arguments(path)
     made, refused = record(given, say)
     return Replays(shlex.join([COMMAND, *given]), made, refused, time.monotonic() - begun)
 
 
-def _made(run: ProgramRun, original: Recording, name: str) -> Made:
+def _recording_beside(run: ProgramRun, original: Recording, name: str) -> Made:
     """Of a program's run the recording that belongs beside the original: that of its name, or the only one alike."""
     if run.status != "ended":
         return Made("stopped" if run.status == "timeout" else "failed", f"the program {run.reason}", None)

@@ -111,7 +111,7 @@ def ladder(
 def _bits(matches: Sequence[Match], compared: str) -> Rung:
     same = sum(m.bit_identical for m in matches)
     said = f"{same} of {len(matches)} replays agree with an original in {compared}"
-    return _whole(Rung(AuditLevel.BIT_IDENTICAL, every(m.bit_identical for m in matches).holds, said), matches)
+    return _if_complete(Rung(AuditLevel.BIT_IDENTICAL, every(m.bit_identical for m in matches).holds, said), matches)
 
 
 def _order(matches: Sequence[Match]) -> Rung:
@@ -119,7 +119,7 @@ def _order(matches: Sequence[Match]) -> Rung:
     if (holds := every(held).holds) is None:
         return Rung(AuditLevel.SAME_UP_TO_ENV_ORDER, None, "environments cannot be compared with others")
     said = f"{sum(h is True for h in held)} of {len(matches)} replays have the environments of an original in any order"
-    return _whole(Rung(AuditLevel.SAME_UP_TO_ENV_ORDER, holds, said), matches)
+    return _if_complete(Rung(AuditLevel.SAME_UP_TO_ENV_ORDER, holds, said), matches)
 
 
 def _ulps(matches: Sequence[Match], most: int) -> Rung:
@@ -139,10 +139,10 @@ def _ulps(matches: Sequence[Match], most: int) -> Rung:
         return Rung(AuditLevel.WITHIN_ULPS, None, f"{said}, but others are not known: {'; '.join(unknown)}")
     if not found or len(known) < len(found):
         return Rung(AuditLevel.WITHIN_ULPS, None, "numbers cannot be compared in units in the last place")
-    return _whole(Rung(AuditLevel.WITHIN_ULPS, True, said), matches)
+    return _if_complete(Rung(AuditLevel.WITHIN_ULPS, True, said), matches)
 
 
-def _whole(rung: Rung, matches: Sequence[Match]) -> Rung:
+def _if_complete(rung: Rung, matches: Sequence[Match]) -> Rung:
     """The same, undecided where it holds for less than the original."""
     left_out = dict.fromkeys(m.left_out for m in matches if m.left_out)
     if not rung.holds or not left_out:

@@ -149,7 +149,7 @@ class Releases:
     def recorded(self, version: str) -> list[Recording]:
         """All runs of a release; NotInstalled or NotRecorded where it cannot have them."""
         folder = self.out / version
-        there = self._there(folder, version)
+        there = self._recordings_in(folder, version)
         if (missing := self.plan.runs - len(there)) > 0:
             python = self._python(version)
             with stage(f"recording {self.package} {version}"):
@@ -160,7 +160,7 @@ class Releases:
                 raise Refused(f"{cannot}: {refused}")
             if failed:
                 raise NotRecorded(f"{cannot}: {failed[0].status}: {failed[0].reason}")
-            there = self._there(folder, version)
+            there = self._recordings_in(folder, version)
             if len(there) < self.plan.runs:
                 raise NotRecorded(f"{self.package} {version} has {len(there)} of {self.plan.runs} recordings")
         for recording in there:
@@ -173,7 +173,7 @@ class Releases:
         with stage(f"installing {self.package} {version}"):
             return environment_of(self.out / _ENVIRONMENTS / version, self.package, version)
 
-    def _there(self, folder: Path, version: str) -> list[Recording]:
+    def _recordings_in(self, folder: Path, version: str) -> list[Recording]:
         found = [Recording(place(str(path))) for path in (sorted(folder.glob("*.mcap")) if folder.is_dir() else [])]
         found = [recording for recording in found if recording.status in ("complete", "invalid")]
         for recording in found:
@@ -216,10 +216,10 @@ def bisect(releases: Releases, versions: tuple[str, ...], predicate: Predicate, 
         return tested[version].different
 
     bounds = search(len(versions), judge)
-    return _found(releases, versions, bounds, tested, files, asked)
+    return _bisection(releases, versions, bounds, tested, files, asked)
 
 
-def _found(
+def _bisection(
     releases: Releases, versions: tuple[str, ...], bounds: Bounds, tested: dict[str, ReleaseVerdict],
     files: dict[str, list[Recording]], asked: str,
 ) -> Bisection:  # fmt: skip

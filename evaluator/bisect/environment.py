@@ -124,7 +124,7 @@ class Plan:
     timed: bool
 
     def arguments(self, python: Path, runs: int, out: Path) -> list[str]:
-        """Of gsb-record, for so many runs by that Python."""
+        """Arguments of gsb-record for so many runs by that Python."""
         given = ["--sim", self.simulator, "--scene", self.scene, "--python", as_path(python)]
         given += [f"--option={option}" for option in self.options]
         given += ["--n-env", str(self.n_env), "--runs", str(runs), "--seed", str(self.seed)]

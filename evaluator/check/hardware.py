@@ -61,7 +61,7 @@ class Hardware:
 
 
 def hardware_of(recording: Recording) -> dict[str, Hardware]:
-    """By where the readings are of: "host", "gpu0", ..."""
+    """Readings of the hardware, by where they are of: "host", "gpu0", ..."""
     return {source: _summary(recording, trace) for source, trace in recording.hardware.items()}
 
 

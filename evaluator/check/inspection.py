@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 from gpusimbench.evaluator.check.hardware import Hardware, hardware_of
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.integrity.problem import Kind
-from gpusimbench.evaluator.check.integrity.scan import Scan, Stream
+from gpusimbench.evaluator.check.integrity.scan import Scan
 from gpusimbench.evaluator.metrics.cotenants import Sign, cotenants
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
 from gpusimbench.evaluator.read.episodes import EpisodeCounts, count_episodes
@@ -25,9 +27,6 @@ from gpusimbench.schemas.provenance import Provenance, Simulation
 from gpusimbench.schemas.view.recorded import LOG_TOPIC
 
 _T = TypeVar("_T")
-
-_NONE: tuple[str, ...] = ()
-_NO_NAMES: dict[str, tuple[str, ...]] = {}
 
 
 @dataclass(frozen=True)
@@ -167,26 +166,24 @@ def inspect(file: Integrity) -> Inspection:
     if file.scan is None:
         raise NotARecording(file.not_opened)
     recording = file.recording
-    said: dict[str, Any] = {
-        "file": str(file.path),
-        "container": _container(file.scan),
-        "status": recording.status if recording else "unreadable",
-        "reason": recording.reason if recording else file.not_opened,
-        "cause": recording.cause if recording else "",
-        "content_hash": str(file.end.content_hash) if file.end is not None else "",
-        "integrity": {kind.name: file.of(kind) for kind in file.problems.kinds()},
-        "verified": file.complete,
-        "unchecked": {kind.name: why for kind in Kind if (why := file.problems.skipped(kind))},
-        "provenance": file.provenance,
-        "simulation": file.simulation,
-        "doubtful": tuple(sorted(file.scan.doubtful)),
-        "known_errors": tuple(error.said for error in known_errors(recording)) if recording else _NONE,
-        "attachments": {name: len(data) for name, data in file.scan.attachments.items()},
-        "peak_rss_bytes": (int(file.end.peak_rss_bytes) or None) if file.end is not None else None,
-    }
-    if isinstance(recording, Recording):
-        said |= _streams(recording, file.scan)
-    return Inspection(**said)
+    found = Inspection(
+        file=str(file.path),
+        container=_container(file.scan),
+        status=recording.status if recording else "unreadable",
+        reason=recording.reason if recording else file.not_opened,
+        cause=recording.cause if recording else "",
+        content_hash=str(file.end.content_hash) if file.end is not None else "",
+        integrity={kind.name: file.of(kind) for kind in file.problems.kinds()},
+        verified=file.complete,
+        unchecked={kind.name: why for kind in Kind if (why := file.problems.skipped(kind))},
+        provenance=file.provenance,
+        simulation=file.simulation,
+        doubtful=tuple(sorted(file.scan.doubtful)),
+        known_errors=tuple(error.said for error in known_errors(recording)) if recording else (),
+        attachments={name: len(data) for name, data in file.scan.attachments.items()},
+        peak_rss_bytes=(int(file.end.peak_rss_bytes) or None) if file.end is not None else None,
+    )
+    return _with_streams(found, recording, file.scan) if isinstance(recording, Recording) else found
 
 
 def _container(scan: Scan) -> Container:
@@ -196,58 +193,52 @@ def _container(scan: Scan) -> Container:
     )  # fmt: skip
 
 
-def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
-    unread: list[str] = []
+def _with_streams(found: Inspection, recording: Recording, scan: Scan) -> Inspection:
+    """The same with what its streams hold; what cannot be read stays as in `found`, and the reason is told."""
+    unread: dict[str, None] = {}
 
-    def read(what: Callable[[], _T], otherwise: _T) -> _T:
+    def read(what: Callable[[Recording], _T], otherwise: _T) -> _T:
         try:
-            return what()
+            return what(recording)
         except GsbError as error:
-            reason = str(error)
+            unread.setdefault(str(error))
         except NUMBERS_OF_A_STRANGER as error:
-            reason = str(error) or type(error).__name__
-        if reason not in unread:
-            unread.append(reason)
+            unread.setdefault(str(error) or type(error).__name__)
         return otherwise
 
-    def state(described: StateField) -> Array | None:
-        return read(lambda: _state(recording, scan, described), None)
-
-    phases = read(lambda: _phases(recording), dict[str, float]())
+    phases = read(_phases, found.phases)
     unread_clocks: tuple[Rate | None, str] = (None, "its clocks cannot be read")
-    timed, timed_missing = read(lambda: _timed(recording), unread_clocks)
-    captured, captured_missing = read(lambda: _captured(recording, phases), unread_clocks)
-    said = {
-        "phases": phases,
-        "clocks": read(
-            lambda: {name: (len(t.start_ns), t.steps_per_interval) for name, t in recording.timing.items()},
-            dict[str, tuple[int, int]](),
-        ),
-        "timed": timed,
-        "timed_missing": timed_missing,
-        "captured": captured,
-        "captured_missing": captured_missing,
-        "memory": read(lambda: _memory(recording), dict[str, Memory]()),
-        "hardware": read(lambda: hardware_of(recording), dict[str, Hardware]()),
-        "co_tenants": read(lambda: _co_tenants(recording), None),
-        "arrays": tuple(array for array in map(state, recording.fields) if array is not None),
-        "actions": tuple(_action(scan, name) for name in recording.action_names),
-        "counters": read(lambda: {phase: tuple(by_name) for phase, by_name in recording.counts.items()}, _NO_NAMES),
-        "hashes": read(lambda: _hashes(recording), dict[str, int]()),
-        "failing": read(lambda: recording.failing, None),
-        "gates": read(lambda: tuple(f"{e.phase}: {e.text}" for e in recording.events if e.kind == "GATE"), _NONE),
-        "overflowed": read(lambda: _overflowed(recording), None),
-        "dropouts": read(lambda: recording.dropouts, _NONE),
-        "episodes": read(lambda: count_episodes(recording), None),
-        "program": read(lambda: {name: len(u.order) for name, u in recording.program.items()}, dict[str, int]()),
-        "view": tuple(sorted(_shown(scan))),
-    }
-    return {**said, "unread": tuple(unread)}
+    timed, timed_missing = read(_timed, unread_clocks)
+    captured, captured_missing = read(lambda r: _captured(r, phases), unread_clocks)
+    of_streams = replace(
+        found,
+        phases=phases,
+        clocks=read(lambda r: {n: (len(t.start_ns), t.steps_per_interval) for n, t in r.timing.items()}, found.clocks),
+        timed=timed,
+        timed_missing=timed_missing,
+        captured=captured,
+        captured_missing=captured_missing,
+        memory=read(_memory, found.memory),
+        hardware=read(hardware_of, found.hardware),
+        co_tenants=read(_co_tenants, None),
+        arrays=tuple(a for field in recording.fields if (a := read(partial(_state, scan=scan, field=field), None))),
+        actions=tuple(_action(scan, name) for name in recording.action_names),
+        counters=read(lambda r: {phase: tuple(by_name) for phase, by_name in r.counts.items()}, found.counters),
+        hashes=read(_hashes, found.hashes),
+        failing=read(lambda r: r.failing, None),
+        gates=read(lambda r: tuple(f"{e.phase}: {e.text}" for e in r.events if e.kind == "GATE"), found.gates),
+        overflowed=read(_overflowed, None),
+        dropouts=read(lambda r: r.dropouts, found.dropouts),
+        episodes=read(count_episodes, None),
+        program=read(lambda r: {name: len(updates.order) for name, updates in r.program.items()}, found.program),
+        view=_shown(scan),
+    )
+    return replace(of_streams, unread=tuple(unread))
 
 
-def _shown(scan: Scan) -> set[int]:
+def _shown(scan: Scan) -> tuple[int, ...]:
     found = (topics.parse_view(topic) for topic in scan.streams if topic != LOG_TOPIC)
-    return {parts.env for parts in found if parts is not None}
+    return tuple(sorted({parts.env for parts in found if parts is not None}))
 
 
 def _phases(recording: Recording) -> dict[str, float]:
@@ -299,15 +290,13 @@ def _co_tenants(recording: Recording) -> CoTenancy | None:
     return CoTenancy(found.presence.value, found.signs)
 
 
-def _state(recording: Recording, scan: Scan, described: StateField) -> Array:
-    array = recording.state(described.group, described.field)
-    numbers = array.dtype.itemsize
-    for size in array.shape:
-        numbers *= size
-    streams = [scan.streams[topic] for topic in topics.states_of(scan.streams, described.group, described.field)]
+def _state(recording: Recording, scan: Scan, field: StateField) -> Array | None:
+    array = recording.state(field.group, field.field)
+    streams = [scan.streams[topic] for topic in topics.states_of(scan.streams, field.group, field.field)]
     return Array(
-        described.name, array.shape, described.dtype, _unit(described), described.frame, described.note, numbers,
-        sum(s.bytes for s in streams), tuple(sorted({e for s in streams for e in s.encodings})),
+        field.name, array.shape, field.dtype, _unit(field), field.frame, field.note,
+        math.prod(array.shape, start=array.dtype.itemsize), sum(s.bytes for s in streams),
+        tuple(sorted({e for s in streams for e in s.encodings})),
     )  # fmt: skip
 
 
@@ -319,9 +308,7 @@ def _unit(field: StateField) -> str:
 
 def _action(scan: Scan, name: str) -> Array:
     # what is stored is told without reading it: actions of a long run are large
-    streams: list[Stream] = [
-        stream for topic, stream in scan.streams.items() if (p := topics.parse_action(topic)) and p.name == name
-    ]
+    streams = [stream for topic, stream in scan.streams.items() if (p := topics.parse_action(topic)) and p.name == name]
     stored = sum(stream.bytes for stream in streams)
     return Array(name, (), "", "", "", "", 0, stored, ())
 

@@ -24,7 +24,7 @@ def local_name(text: str) -> str:
 
 
 def local_path(text: str) -> Path:
-    """The same, as a path."""
+    """A file or folder of this machine, as of `local_name`."""
     return Path(local_name(text))
 
 

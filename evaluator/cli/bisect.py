@@ -111,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
     from gpusimbench.evaluator.compute.recorder import about
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # no run goes on that nobody waits for
-    given = _given(arguments)
+    given = _environments(arguments)
     _check(arguments, given)
     engine = about(arguments.sim)
     plan = _plan(arguments, engine)
@@ -129,7 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
     return int(ExitCode.OK if found.exact else ExitCode.NOTHING_COMPARABLE)
 
 
-def _given(arguments: argparse.Namespace) -> dict[str, Path]:
+def _environments(arguments: argparse.Namespace) -> dict[str, Path]:
     found = {}
     for text in arguments.environment:
         version, equals, path = text.partition("=")

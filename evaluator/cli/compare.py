@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from gpusimbench.evaluator.compare.compare import Result
     from gpusimbench.evaluator.compare.finding import Settings
     from gpusimbench.evaluator.compare.history.history import History
+    from gpusimbench.evaluator.compare.result import Result
     from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.inputs.reader import Reader
     from gpusimbench.evaluator.render.document import Document
@@ -184,7 +184,7 @@ def _run_sets(arguments: argparse.Namespace, settings: Settings) -> int:
     """Compare two sets; returns the exit code."""
     if arguments.html:
         raise UsageError("--html needs --history; for two sets, use --markdown or --json")
-    base, head = _given(arguments)
+    base, head = _base_and_head(arguments)
 
     from gpusimbench.evaluator.compare.compare import compare, read_sides
     from gpusimbench.evaluator.compare.document import comment, dump_json, full, short
@@ -212,8 +212,9 @@ def _run_history(arguments: argparse.Namespace, settings: Settings) -> int:
     if arguments.gate and (unfit := _OF_TWO_SETS & {axis.value for axis in settings.gates}):
         raise UsageError(f"--history has no curves of {' and '.join(sorted(unfit))}: compare two sets by them")
 
-    from gpusimbench.evaluator.compare.history.document import dump_json, full, short
+    from gpusimbench.evaluator.compare.history.document import full, short
     from gpusimbench.evaluator.compare.history.history import trace
+    from gpusimbench.evaluator.compare.history.json import dump_json
     from gpusimbench.evaluator.compare.history.series import read_points
     from gpusimbench.evaluator.render.html import render_page
     from gpusimbench.evaluator.render.markdown import render_markdown
@@ -251,7 +252,7 @@ def _present(
     return int(found.exit_code)
 
 
-def _given(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:
+def _base_and_head(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:
     sets: list[Place] = list(arguments.sets)
     base = arguments.base or sets[:1]
     head = arguments.head or (sets[1:2] if not arguments.base else sets[:1])

@@ -127,7 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         work = _work(arguments, stack)
         how = Reader(arguments.sample_time, verify=not arguments.no_verify)
-        reference = _one(arguments.reference)
+        reference = _reference(arguments.reference)
         evaluation, recordings = read_and_evaluate(arguments.files, how, reference=reference, work=work)
     if work.store:
         work.store.prune()
@@ -157,7 +157,7 @@ def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
     return Work(mapper, store_of(arguments))
 
 
-def _one(given: Place | None) -> Place | None:
+def _reference(given: Place | None) -> Place | None:
     from gpusimbench.evaluator.read.addresses import expand
 
     found = expand([given]) if given else []

@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--parameters names no option")
     if arguments.dt is not None and not 0 < arguments.dt < 1:
         raise UsageError(f"--dt is a part of 1/148 s, not {arguments.dt:g}")
-    given = _given(arguments.option)
+    given = _options(arguments.option)
     if arguments.budget < 2:
         raise UsageError(f"--budget is at least 2, the start and another evaluation, not {arguments.budget}")
     if arguments.out.exists() and any(arguments.out.iterdir()):
@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
     return int(ExitCode.OK)
 
 
-def _given(pairs: list[str]) -> dict[str, str]:
+def _options(pairs: list[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")

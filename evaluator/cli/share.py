@@ -180,11 +180,11 @@ def _recover(arguments: argparse.Namespace) -> int:
     name = source.name.removesuffix(PARTIAL).removesuffix(".mcap")
     with stage("recovering"):
         done = recover(source, arguments.out or source.with_name(f"{name}.recovered.mcap"))
-    show(block(_told(done)))
+    show(block(_recovered_lines(done)))
     return int(ExitCode.DATA_LOST if done.damage else ExitCode.OK)
 
 
-def _told(done: Recovered) -> Iterator[str]:
+def _recovered_lines(done: Recovered) -> Iterator[str]:
     yield f"{done.path}  {done.status}{': ' if done.reason else ''}{done.reason}"
     for stream in done.streams:
         steps = "" if stream.last_step is None else f"  whole up to step {stream.last_step}"

@@ -40,7 +40,7 @@ def compare_mechanics(base: Runs, head: Runs, *, certain: bool) -> Sequence[Find
     if not judged:
         either = any(row.check.demanded and row.verdict is not none for row in (*one.rows, *other.rows))
         return (not_compared(Axis.PHYSICS, _NAME, _TITLE, "no check applies to both sides", applies=either),)
-    found = [_found(a, b, base, head, certain=certain) for a, b in judged]
+    found = [_checked(a, b, base, head, certain=certain) for a, b in judged]
     return [one for one in found if one is not None] or (_unchanged(one, other, (len(base), len(head))),)
 
 
@@ -52,7 +52,9 @@ def _unchanged(one: Fidelity, other: Fidelity, n: tuple[int, int]) -> Finding:
     )  # fmt: skip
 
 
-def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, certain: bool) -> Finding | Question | None:
+def _checked(
+    one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, certain: bool
+) -> Finding | Question | None:
     """The finding or the question of a check; None where it could not have changed.
 
     Which tests are made must not depend on how broken runs fell to the sides, or their p-values mean nothing: a check
@@ -64,14 +66,14 @@ def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, cert
     finding = Finding(
         Axis.PHYSICS, f"mechanics.{one.check.key}", one.check.title,
         Change.REGRESSION if worse * n1 > bad * n2 else Change.IMPROVEMENT, Direction.HIGHER,
-        said=(_said(one), _said(other)), n=(n1, n2),
+        said=(_verdict(one), _verdict(other)), n=(n1, n2),
         method=f"verdict of gsb-eval --all over all runs, by {NEWEST.value}",
         note=f"broken in {bad} of {plural(n1, 'run')} of base, {worse} of {n2} of head",
     )  # fmt: skip
     return finding if certain else Counted(finding, *counts, of="in which it is broken")
 
 
-def _said(row: FidelityRow) -> str:
+def _verdict(row: FidelityRow) -> str:
     broken = row.found if row.verdict is CheckVerdict.BROKEN else None
     said = f"BROKEN {broken.broken} of {broken.count}" if broken else row.verdict.value
     return f"{said} ({NEWEST.value})"

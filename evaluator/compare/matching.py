@@ -127,7 +127,7 @@ def asked_of(group: Group[Run], across: Collection[str] = ()) -> GroupKey:
 
 
 def anywhere(group: Group[Run], across: Collection[str] = ()) -> GroupKey:
-    """The same on whatever machine."""
+    """As `asked_of`, on whatever machine."""
     return replace(asked_of(group, across), device="")
 
 

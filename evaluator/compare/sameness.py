@@ -153,7 +153,7 @@ def _level(title: str, one: Estimate, other: Estimate, n: tuple[int, int]) -> Fi
     alike, stays = (claim.yes for claim in claims)
     change = judged(Direction.LOWER, rises=alike) if alike != stays else Change.SAME
     return Finding(
-        axis, name, title, change, Direction.LOWER, said=(_said(one), _said(other)),
+        axis, name, title, change, Direction.LOWER, said=(_distinct(one), _distinct(other)),
         base=known(one.value), head=known(other.value), n=n, method="64-bit state hashes of every captured step",
         note=_bound(name, one if alike else other, change),
     )  # fmt: skip
@@ -169,6 +169,6 @@ def _bound(name: str, alike: Estimate, change: Change) -> str:
     )
 
 
-def _said(metric: Estimate) -> str:
+def _distinct(metric: Estimate) -> str:
     count = int(known(metric.value) or 0)
     return f"identical, all {metric.n}" if count == 1 else f"{count} of {metric.n} distinct"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 
-from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
+from gpusimbench.evaluator.compare.result import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.episodes.document import difference, number
 from gpusimbench.evaluator.render.numbers import NONE, bounds, figure, scaled
 from gpusimbench.evaluator.results.metric import Axis, Direction
@@ -54,54 +54,47 @@ def verdict(finding: Finding, result: Result) -> str:
 
 def sentence(result: Result) -> str:
     """The verdict of the whole in one plain sentence."""
-    failing, settings = result.failing, result.settings
-    where = plural(len(result.compared), "configuration")
-    undecided = ", ".join(axis.value for axis in result.undecided)
-    if failing:
-        axes = ", ".join(dict.fromkeys(f.axis.value for f in failing))
-        found = f"in {axes} ({plural(len(failing), 'finding')} in {where})"
-        changed = settings.expect_same or all(f.change is Change.CHANGED for f in failing)
-        said = f"FAILED: head {'differs from' if changed else 'is worse than'} base {found}"
-        return f"{said}; not decided: {undecided}" if undecided else said
-    if not result.compared:
-        return "NOTHING COMPARED: base and head have no configuration in common"
-    if not result.comparable:
-        return "NOTHING COMPARED: in some configuration, base and head share no quantity that the verdict depends on"
-    asked = "differs from base" if settings.expect_same else "is worse than base"
-    if result.open:
-        count = plural(len(result.open), "finding")
-        return f"NOT DECIDED: whether head {asked} in {undecided} ({count} in {where})"
-    gained = ", ".join(dict.fromkeys(f.axis.value for f in result.findings if f.change is Change.IMPROVEMENT))
-    parts = [f"PASSED: no sign that head {asked} in {where}"]
-    parts += [f"head is better in {gained}"] if gained else []
-    parts += [f"{plural(len(result.alone), 'configuration')} without a partner"] if result.alone else []
-    return "; ".join(parts)
+    return _verdicts(result)[0]
 
 
 def headline(result: Result) -> str:
     """The verdict of the whole in one line, for programs."""
-    failing, settings = result.failing, result.settings
-    if failing:
-        axes = ", ".join(dict.fromkeys(f.axis.value for f in failing))
-        what = "NOT THE SAME" if settings.expect_same else "REGRESSION"
-        if not settings.expect_same and all(f.change is Change.CHANGED for f in failing):
-            what = "CHANGED"
-        found = f"{what}: {axes} ({plural(len(failing), 'finding')} in {plural(len(result.compared), 'configuration')})"
-        undecided = ", ".join(axis.value for axis in result.undecided)
-        return f"{found}; not decided: {undecided}" if undecided else found
+    return _verdicts(result)[1]
+
+
+def _verdicts(result: Result) -> tuple[str, str]:
+    """The verdict of the whole for people, and for programs."""
+    same = result.settings.expect_same
     where = plural(len(result.compared), "configuration")
-    if result.open and result.comparable:
-        axes = ", ".join(axis.value for axis in result.undecided)
-        return f"NOT DECIDED: {axes} ({plural(len(result.open), 'finding')} in {where})"
+    undecided = ", ".join(axis.value for axis in result.undecided)
+    if failing := result.failing:
+        changed = all(f.change is Change.CHANGED for f in failing)
+        differs = "differs from" if same or changed else "is worse than"
+        kind = "NOT THE SAME" if same else "CHANGED" if changed else "REGRESSION"
+        found = f"{_axes(failing)} ({plural(len(failing), 'finding')} in {where})"
+        found += f"; not decided: {undecided}" if undecided else ""
+        return f"FAILED: head {differs} base in {found}", f"{kind}: {found}"
     if not result.comparable:
-        return "NOTHING COMPARED"
-    parts = [f"NO {'DIFFERENCE' if settings.expect_same else 'REGRESSION'} found in {where}"]
-    gained = dict.fromkeys(f.axis.value for f in result.findings if f.change is Change.IMPROVEMENT)
-    if gained:
-        parts.append(f"improved: {', '.join(gained)}")
-    if result.alone:
-        parts.append(f"{plural(len(result.alone), 'configuration')} without a partner")
-    return "; ".join(parts)
+        why = "in some configuration, base and head share no quantity that the verdict depends on"
+        why = why if result.compared else "base and head have no configuration in common"
+        return f"NOTHING COMPARED: {why}", "NOTHING COMPARED"
+    differs, difference = ("differs from", "DIFFERENCE") if same else ("is worse than", "REGRESSION")
+    if result.open:
+        found = f"{undecided} ({plural(len(result.open), 'finding')} in {where})"
+        return f"NOT DECIDED: whether head {differs} base in {found}", f"NOT DECIDED: {found}"
+    gained = _axes(f for f in result.findings if f.change is Change.IMPROVEMENT)
+    alone = f"{plural(len(result.alone), 'configuration')} without a partner" if result.alone else ""
+    people = (
+        f"PASSED: no sign that head {differs} base in {where}",
+        f"head is better in {gained}" if gained else "",
+        alone,
+    )
+    programs = (f"NO {difference} found in {where}", f"improved: {gained}" if gained else "", alone)
+    return "; ".join(filter(None, people)), "; ".join(filter(None, programs))
+
+
+def _axes(findings: Iterable[Finding]) -> str:
+    return ", ".join(dict.fromkeys(finding.axis.value for finding in findings))
 
 
 def heading(compared: ComparedConfiguration) -> str:
@@ -183,7 +176,7 @@ def legend(result: Result) -> list[str]:
 
 
 def settings_line(result: Result) -> str:
-    """What decides."""
+    """The settings that decide the verdict."""
     settings = result.settings
     gates = ", ".join(axis.value for axis in Axis if axis in settings.gates)
     if settings.expect_same:

@@ -187,7 +187,7 @@ class Store:
         self._folder = folder
 
     def keys(self, function: Callable[..., Any], items: Sequence[Any]) -> list[str]:
-        """Of a function's result for each item: the function, the item, the versions of all code that computes.
+        """Names of a function's results by item: digests of function, item and the versions of all code that computes.
 
         A function is told by its name or, where it is a value that can be called, by its class and its fields.
         """
@@ -202,7 +202,7 @@ class Store:
         return found
 
     def key(self, function: Callable[..., Any], item: Any) -> str:
-        """Of a function's result for one item."""
+        """The name under which a function's result for an item is kept."""
         return self.keys(function, [item])[0]
 
     def get(self, key: str, kind: Any) -> Any:
@@ -290,7 +290,7 @@ def code_version() -> str:
 
 
 def version_of(package: str) -> str:
-    """Of an installed package; empty where it is not installed."""
+    """The version of an installed package; empty where it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:

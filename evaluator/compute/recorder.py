@@ -52,19 +52,19 @@ def record(arguments: Sequence[str], say: Callable[[str], None]) -> tuple[tuple[
             say(held.pop(0))
 
     try:
-        returncode, output, said = _said(["gpusimbench.recorder.cli", *arguments, "--json"], hold)
+        returncode, output, said = _run_cli(["gpusimbench.recorder.cli", *arguments, "--json"], hold)
     except KeyboardInterrupt:
         release()
         raise
     if returncode == ExitCode.USAGE and not output:
         return (), _refusal(said)
     release()
-    return _made(output, returncode, said), ""
+    return _parse_runs(output, returncode, said), ""
 
 
 def about(simulator: str) -> dict[str, Any]:
     """What ``gsb-record --list NAME --json`` says of a simulator; UsageError where there is none of that name."""
-    returncode, output, said = _said(["gpusimbench.recorder.cli", "--list", simulator, "--json"], lambda text: None)
+    returncode, output, said = _run_cli(["gpusimbench.recorder.cli", "--list", simulator, "--json"], lambda text: None)
     try:
         found: dict[str, Any] = json.loads(output)["simulator"]
         return found
@@ -96,7 +96,7 @@ def run_program(
     UsageError where there is no such program; otherwise raises as `record`.
     """
     arguments = ["gpusimbench.recorder.programs", str(runs), str(out), f"{time_limit:g}", *command]
-    returncode, output, said = _said(arguments, lambda told: None if told.startswith(PROGRAMS) else say(told))
+    returncode, output, said = _run_cli(arguments, lambda told: None if told.startswith(PROGRAMS) else say(told))
     if returncode == ExitCode.USAGE:
         raise UsageError(_refusal(said, PROGRAMS))
     try:
@@ -110,7 +110,7 @@ def run_program(
         raise GsbError(f"the program was not run: {_refusal(said, PROGRAMS)}") from None
 
 
-def _said(arguments: Sequence[str], say: Callable[[str], None]) -> tuple[int, bytes, list[str]]:
+def _run_cli(arguments: Sequence[str], say: Callable[[str], None]) -> tuple[int, bytes, list[str]]:
     """Exit code, standard output and last lines on standard error of a module of the recorder."""
     with tempfile.TemporaryFile() as printed:
         returncode, said = _run([sys.executable, "-P", "-m", *arguments], printed, say)
@@ -159,7 +159,7 @@ def _refusal(said: Sequence[str], command: str = COMMAND) -> str:
     return refusals[-1] if refusals else (said[-1] if said else "it did not say why")
 
 
-def _made(output: bytes, returncode: int, said: Sequence[str]) -> tuple[Made, ...]:
+def _parse_runs(output: bytes, returncode: int, said: Sequence[str]) -> tuple[Made, ...]:
     try:
         runs: list[dict[str, Any]] = json.loads(output)["runs"]
         return tuple(Made(r["status"], r["reason"], Path(r["file"]) if r["file"] else None) for r in runs)

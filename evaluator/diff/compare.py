@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from gpusimbench.evaluator.diff import remarks
-from gpusimbench.evaluator.diff.common import Selection, common_fields, one, step_ratio
+from gpusimbench.evaluator.diff.common import common_fields, step_ratio
 from gpusimbench.evaluator.diff.first import first_divergence
 from gpusimbench.evaluator.diff.numbers import pairing
 from gpusimbench.evaluator.diff.program import compare_program
 from gpusimbench.evaluator.diff.result import Basis, ComparedStates, Difference
+from gpusimbench.evaluator.diff.selection import Selection, one_env
 from gpusimbench.evaluator.diff.settings import differing_settings, is_other_package
 from gpusimbench.evaluator.diff.splits import Agreement, common_hashes, step_range, timed_hashes
 from gpusimbench.evaluator.diff.states import BodyOrder, CommonStates
@@ -26,7 +27,7 @@ def compare(a: Recording, b: Recording, *, envs: tuple[int, int] | None = None) 
     DamagedRecording where a file is not what it says.
     """
     if envs is not None:
-        return _compare(one(a, envs[0]), one(b, envs[1]))
+        return _compare(one_env(a, envs[0]), one_env(b, envs[1]))
     both = range(min(a.configuration.n_env, b.configuration.n_env))
     return _compare(Selection(a, both), Selection(b, both))
 
@@ -35,7 +36,7 @@ def compare_envs(recording: Recording, first: int, second: int) -> Difference:
     """Two environments of one recording; raises as `compare` does."""
     if first == second:
         raise UsageError(f"give two different environments, not {first} twice")
-    return _compare(one(recording, first), one(recording, second))
+    return _compare(one_env(recording, first), one_env(recording, second))
 
 
 def compare_all_envs(recording: Recording) -> Difference:
@@ -43,7 +44,7 @@ def compare_all_envs(recording: Recording) -> Difference:
     n_env = recording.configuration.n_env
     if n_env < 2:
         raise NothingComparable(f"{recording.path} has one environment, and nothing to compare it with")
-    return _compare(one(recording, 0), Selection(recording, range(1, n_env)))
+    return _compare(one_env(recording, 0), Selection(recording, range(1, n_env)))
 
 
 def _compare(a: Selection, b: Selection) -> Difference:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.diff.common import CommonField, Selection
+from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.result import Basis, FieldDifference, Number
+from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.metrics.divergence import as_words, differs, opposite_signs, resolution, ulp_distance
 
 
@@ -120,7 +121,7 @@ class Tally:
             self._first_step = int(steps[rows[0]])
 
     def result(self) -> FieldDifference:
-        """What was counted."""
+        """The difference of the field, once all of its states were added."""
         field = self._how.field
         # zero where nothing differs, and no distance where what differs is not finite
         nothing = 0.0 if self._finite and not self._different else None

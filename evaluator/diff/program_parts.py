@@ -16,7 +16,7 @@ def is_action(field: str) -> bool:
 
 
 class Kind(Enum):
-    """Of what a part is, in the order in which those of one step come about."""
+    """What a part is, in the order in which the parts of one step come about."""
 
     ACTION = "action"
     SIMULATOR = "simulator"
@@ -63,7 +63,7 @@ class ComparedPart:
 
 @dataclass(frozen=True)
 class ProgramDifference:
-    """Which part differs first.
+    """How what a program gave and got differs: which part is the first.
 
     parts        states, actions and arrays that both recordings have
     first        of the parts the one that differs first in the order of the program; None where all are the same

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from gpusimbench.evaluator.diff import words
-from gpusimbench.evaluator.diff.common import CommonField, Selection
+from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.program_parts import ProgramDifference
 from gpusimbench.evaluator.diff.result import Basis
+from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement, CommonHashes
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.evaluator.metrics.identity import unchanging
@@ -84,7 +85,7 @@ def arrays(a: Selection, b: Selection, program: ProgramDifference | None) -> lis
 
 
 def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | None) -> tuple[str, ...]:
-    """What a reader must know."""
+    """Sentences that a reader must see beside the difference."""
     found = []
     for side in dict.fromkeys((a.recording, b.recording)):
         if side.status in ("failed", "invalid"):

@@ -371,7 +371,7 @@ class Difference:
 
     @property
     def verdict(self) -> DiffVerdict:
-        """What it comes to."""
+        """The verdict on the whole comparison."""
         if self.different:
             return DiffVerdict.DIFFERENT
         return DiffVerdict.IDENTICAL if self.bit_identical else DiffVerdict.WITHIN_RESOLUTION

@@ -31,7 +31,7 @@ def differing_settings(a: Recording, b: Recording) -> tuple[Setting, ...]:
     What belongs to a run alone, such as its id, time, command line and index, is left out. Last come installed packages
     that no recorder lists among those that compute.
     """
-    of_a, of_b = dict(_told(a)), dict(_told(b))
+    of_a, of_b = dict(_settings_of(a)), dict(_settings_of(b))
     names = dict.fromkeys((*of_a, *of_b))
     pairs = ((name, of_a.get(name, UNSET), of_b.get(name, UNSET)) for name in names)
     found = [Setting(name, _short(x), _short(y)) for name, x, y in pairs if x != y]
@@ -45,7 +45,7 @@ def is_other_package(setting: Setting, a: Recording, b: Recording) -> bool:
     return name != setting.name and not any(isinstance(one, dict) and name in one for one in listed)
 
 
-def _told(recording: Recording) -> Iterator[tuple[str, str]]:
+def _settings_of(recording: Recording) -> Iterator[tuple[str, str]]:
     # what decides the numbers comes first
     configuration = recording.configuration.to_json()
     yield from _flat({k: v for k, v in configuration.items() if k not in _OF_THE_RUN}, "")

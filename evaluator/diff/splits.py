@@ -8,8 +8,9 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.diff.common import CommonField, Selection, common_steps
+from gpusimbench.evaluator.diff.common import CommonField, common_steps
 from gpusimbench.evaluator.diff.result import Basis, Change, Splits, StepRange
+from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.metrics.divergence import by_first_appearance
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.errors import DamagedRecording
@@ -152,7 +153,7 @@ class Agreement:
         self._equal = Counts()
 
     def add(self, steps: NDArray[np.int64], differ: NDArray[np.bool_]) -> None:
-        """Which pairs differ, [step, pair]."""
+        """Take in some steps: which pairs differ at each, [step, pair]."""
         for step, row in zip(steps.tolist(), differ, strict=True):
             count = int(np.count_nonzero(row))
             if count and self.first is None:
@@ -220,5 +221,5 @@ class Classes:
 
 
 def step_range(steps: list[int]) -> StepRange:
-    """Of at least one step."""
+    """The range of some steps, of which there is at least one."""
     return StepRange(len(steps), steps[0], steps[-1])

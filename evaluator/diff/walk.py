@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.diff.common import Selection
 from gpusimbench.evaluator.diff.numbers import Pairing, Tally
 from gpusimbench.evaluator.diff.result import Basis, FieldDifference, Growth
+from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement, CommonHashes
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching, fit_growth
@@ -180,7 +180,7 @@ def walk_states(
 
 
 def walk_hashes(hashes: CommonHashes, *, classes: bool) -> Agreement:
-    """The same of recorded hashes."""
+    """Compare recorded hashes, as `walk_states` compares states."""
     agreement = Agreement(hashes.a.shape[1], hashes.b.shape[1], classes=classes, phase=hashes.phase)
     for begin in range(0, len(hashes.steps_a), _HASH_ROWS):
         rows = slice(begin, begin + _HASH_ROWS)

@@ -30,7 +30,7 @@ _RELATIVE, _ABSOLUTE = 1e-3, 1e-5
 
 def seed_of(run: Run | Recording) -> Hashable:
     """What runs must have in common to be repetitions of each other; a run without a seed is none of any other."""
-    return run.provenance.run_id if not _seeded(run) else (run.configuration.seed, *_given(run))
+    return run.provenance.run_id if not _seeded(run) else (run.configuration.seed, *_reset_with(run))
 
 
 def clusters_of(recordings: Sequence[Recording], starts: Sequence[Starts]) -> NDArray[np.int64]:
@@ -63,7 +63,7 @@ def clusters_of(recordings: Sequence[Recording], starts: Sequence[Starts]) -> ND
                 envs[fresh] = cluster[first[other] : first[other + 1]][fresh]
         if (envs == alone).any():
             earlier.append(file)
-        if seeded and recording.configuration.simulator == _SEEDED_BY_NUMBER and _given(recording) == (None, None):
+        if seeded and recording.configuration.simulator == _SEEDED_BY_NUMBER and _reset_with(recording) == (None, None):
             for number, env in enumerate(alone.tolist()):
                 bits = b"".join(seen[name][number].tobytes() for name in sorted(seen))
                 twin = cluster[by_seed.setdefault((recording.configuration.seed + number, bits), env)]
@@ -72,7 +72,7 @@ def clusters_of(recordings: Sequence[Recording], starts: Sequence[Starts]) -> ND
     return by_first_appearance(cluster.astype(np.uint64))
 
 
-def _given(run: Run | Recording) -> tuple[str | None, str | None]:
+def _reset_with(run: Run | Recording) -> tuple[str | None, str | None]:
     """Seeds and keys of a reset that was given more than one number."""
     options = run.configuration.options
     return options.get(RESET_SEEDS), options.get(RESET_KEYS)

@@ -58,7 +58,7 @@ class Discordant:
 
 @dataclass(frozen=True)
 class Difference:
-    """Of a quantity: the first policy's mean minus the second's.
+    """The difference of a quantity: the first policy's mean minus the second's.
 
     ci95         by resampling environments
     p_value      two-sided, that the policies are alike
@@ -86,7 +86,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Of two policies: how episodes were paired, and the differences of all quantities."""
+    """Two policies compared: how episodes were paired, and the differences of all quantities."""
 
     pairs: Pairs
     differences: tuple[Difference, ...]

@@ -48,7 +48,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Dependence:
-    """Of a quantity on the setting.
+    """Whether a quantity depends on the setting.
 
     name        "success" or "return"
     largest     difference of the means of two values, the highest minus the lowest

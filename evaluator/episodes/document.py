@@ -29,7 +29,7 @@ _FEW_ENVS = 8
 
 
 def episodes_document(policy: Outcome, against: Outcome | None, comparison: Comparison | None) -> Document:
-    """Of one policy, or of two and their comparison."""
+    """The document of one policy, or of two and their comparison."""
     blocks: list[Block] = []
     if comparison is not None:
         blocks.append(Text(_verdict(comparison)))
@@ -95,7 +95,7 @@ def warnings(of: Outcome) -> Iterator[str]:
 
 
 def record(of: Outcome) -> dict[str, object]:
-    """Of one policy, for JSON."""
+    """The outcome of one policy as JSON has it."""
     return {**values_of(of), "warnings": list(warnings(of))}
 
 
@@ -251,7 +251,7 @@ def across_document(found: Across) -> Document:
             f"{f' {POINTS}' if depends and one.success else ''}"
         ),
     ]
-    if told := list(_told(found)):
+    if told := list(_remarks(found)):
         blocks.append(items(*told, tone=Tone.WARNING))
     return Document("", tuple(blocks))
 
@@ -265,7 +265,7 @@ def dump_across(found: Across) -> str:
                 "key": found.key,
                 "settings": settings,
                 "quantities": [{**values_of(one), "depends": one.depends} for one in found.quantities],
-                "warnings": list(_told(found)),
+                "warnings": list(_remarks(found)),
             },
         })
     )  # fmt: skip
@@ -298,7 +298,7 @@ def _across_row(setting: Setting) -> list[Cell | str]:
     ]
 
 
-def _told(found: Across) -> Iterator[str]:
+def _remarks(found: Across) -> Iterator[str]:
     if few := [one.value for one in found.settings if one.outcome.n_env < _FEW_ENVS]:
         yield (
             f"{found.key} {', '.join(few)}: fewer than {_FEW_ENVS} environments in all, so that the test shows little; "

@@ -83,7 +83,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one policy.
+    """The outcome of one policy.
 
     files          recordings
     repeats        recordings that are left out, because their bits are those of one of `files`
@@ -138,7 +138,7 @@ def outcomes(
 
 
 def outcome(episodes: Episodes, chosen: Choice, success: str | None, at: At) -> Outcome:
-    """Of the first episodes of every environment; see Outcome."""
+    """The outcome of the first episodes of every environment."""
     side = episodes.side
     first = tuple(
         _first_finished(table, int(rows.size)) for table, rows in zip(side.tables, episodes.rows, strict=True)
@@ -298,7 +298,7 @@ class Profile:
 
 @dataclass(frozen=True)
 class Profiles:
-    """Of policies, at the same thresholds.
+    """Profiles of policies, at the same thresholds.
 
     thresholds  from the smallest return to the largest [unit of the reward]
     """

@@ -89,13 +89,13 @@ class Fit:
             return "No better options were found than those of the start."
         one = self.held_out
         turned = next(other for other in self.compared if (other.quantity, other.tosses) == ("rotation", ODD))
-        errors = f"{_said(one)} on the {one.change.cases} odd tosses; {_said(turned)}"
+        errors = f"{_error_change(one)} on the {one.change.cases} odd tosses; {_error_change(turned)}"
         if one.change.p_value >= LEVEL:
             return f"The fit cannot be told apart from the start: {errors}."
         return f"Fitting {'helps' if one.change.mean < 0 else 'harms'}: {errors}."
 
 
-def _said(one: ErrorChange) -> str:
+def _error_change(one: ErrorChange) -> str:
     p = one.change.p_value
     return f"error of {one.quantity} {one.before:.3g} {one.unit} to {one.after:.3g} {one.unit} (p = {p:.2g})"
 

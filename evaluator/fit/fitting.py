@@ -59,7 +59,7 @@ def fit(asked: Asked) -> Fit:
     """
     known = about(asked.simulator)["options"]
     tosses = [] if asked.tosses is None else ["--tosses", as_path(asked.tosses)]
-    reference = _recording(_made(["--sim", "real", "--scene", SCENE, *tosses], asked.out))
+    reference = _recording(_record_one(["--sim", "real", "--scene", SCENE, *tosses], asked.out))
     measured = measured_tosses(reference)
     if measured is None:
         raise GsbError(f"{reference.path} has no tosses")
@@ -79,7 +79,7 @@ def fit(asked: Asked) -> Fit:
     after, command = runs.start, ""
     if best is not start:
         words = [f"--fitted={name}={EVEN}" for name in best.options]
-        after = _recording(_made([*runs.arguments(best.options), *words], asked.out))
+        after = _recording(_record_one([*runs.arguments(best.options), *words], asked.out))
         command = shlex.join([COMMAND, *runs.arguments(best.options), *words])
     simulation = runs.start.simulation
     version = simulation.version if simulation else ""
@@ -112,7 +112,7 @@ class _Runs:
         self.start: Recording | None = None
 
     def arguments(self, options: Mapping[str, str]) -> list[str]:
-        """Of gsb-record."""
+        """Arguments of gsb-record for these options."""
         asked = self._asked
         words = [f"--option={name}={value}" for name, value in {**asked.given, **options}.items()]
         steps = [] if asked.dt is None else [f"--dt={asked.dt!r}", f"--stride={self._per_row(asked.dt)}"]
@@ -140,7 +140,7 @@ class _Runs:
     def _error(self, options: Mapping[str, str], folder: Path) -> float | Missing:
         """Mean error of position on even tosses [cm]; of the start the recording stays."""
         try:
-            path = _made(self.arguments(options), folder)
+            path = _record_one(self.arguments(options), folder)
         except GsbError as error:
             return Missing(str(error))
         recording = _recording(path)
@@ -155,7 +155,7 @@ class _Runs:
         return max(1, round(self._measured.dt / dt))
 
 
-def _made(arguments: Sequence[str], folder: Path) -> Path:
+def _record_one(arguments: Sequence[str], folder: Path) -> Path:
     """The recording of a run; GsbError says why there is none, or none that is whole."""
     made, refused = record([*arguments, "--out", as_path(folder)], lambda text: None)
     if refused or not made:

@@ -37,12 +37,12 @@ class Parameters:
 
     @property
     def size(self) -> int:
-        """Numbers of a point."""
+        """How many numbers a point has."""
         return sum(map(len, self.start.values()))
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        """Of a point."""
+        """The least and the largest value of each number of a point."""
         return [(-math.log(WIDEST), math.log(WIDEST))] * self.size
 
     def options(self, point: Sequence[float] | NDArray[np.float64]) -> dict[str, str]:

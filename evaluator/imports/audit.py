@@ -111,7 +111,7 @@ class Audit:
 
 
 def refused(simulator: str, options: Sequence[str], why: str) -> Audit:
-    """Of an engine that does not take the model."""
+    """The audit of an engine that does not take the model."""
     none = Missing("the model was refused")
     return Audit(simulator, "", "", tuple(options), "", True, None, why, (), none, none, none)
 

@@ -69,7 +69,7 @@ class Reader:
 
     @property
     def time(self) -> float:
-        """At which positions are sampled [s]."""
+        """The simulated time at which positions are sampled [s]."""
         return DEFAULT_S if self.sample_time is None else self.sample_time
 
     def __call__(self, path: Place) -> Run | Unreadable:

@@ -35,20 +35,20 @@ class Sampled:
 def notes_on(shorter: Mapping[str, float], time: float, runs: Sequence[Run]) -> list[str]:
     """What is to be said of each scene that is compared at another time than `time` [s]; see Sampled."""
     return [
-        f"{scene}: {_what(ours)} are compared at {at:.4g} s, {_why(at, time, ours)}"
+        f"{scene}: {_what_is_compared(ours)} are compared at {at:.4g} s, {_why_then(at, time, ours)}"
         for scene, at in shorter.items()
         for ours in [[run for run in runs if _scene(run) == scene]]
     ]
 
 
-def _what(runs: Sequence[Run]) -> str:
+def _what_is_compared(runs: Sequence[Run]) -> str:
     joints = any(joint_fields(run.fields) for run in runs)
     if not joints:
         return "positions"
     return "positions and joints" if any(positional(run.fields) for run in runs) else "joints"
 
 
-def _why(at: float, time: float, runs: Sequence[Run]) -> str:
+def _why_then(at: float, time: float, runs: Sequence[Run]) -> str:
     if any(run.named_time == at for run in runs):
         return "the sample time of the scene"
     whose = (
@@ -92,13 +92,13 @@ def _others(runs: Sequence[Run], time: float, *, together: bool) -> dict[str, fl
     found = {}
     for scene in dict.fromkeys(map(_scene, with_states)):
         of_scene = [run for run in with_states if together or _scene(run) == scene]
-        wanted = _named(of_scene) or last_common_time(of_scene)
+        wanted = _named_by_scene(of_scene) or last_common_time(of_scene)
         if wanted is not None and wanted != time:
             found[scene] = wanted
     return found
 
 
-def _named(runs: Sequence[Run]) -> float | None:
+def _named_by_scene(runs: Sequence[Run]) -> float | None:
     """The time that the scene names, where all of its recordings name the same, and one of them has it [s]."""
     named = {run.named_time for run in runs}
     (time,) = named if len(named) == 1 else (None,)

@@ -35,7 +35,7 @@ class Presence(Enum):
 
 @dataclass(frozen=True)
 class Sign:
-    """That another process was there.
+    """A sign that another process was there.
 
     moment     a checkpoint, or "timed"
     processes  how many NVML listed; None where the sign is another
@@ -62,7 +62,7 @@ class CoTenants:
 
     @property
     def presence(self) -> Presence:
-        """What is known."""
+        """Whether another process was there, as far as is known."""
         return Presence.SOME if self.signs else Presence.NONE if self.looked else Presence.UNKNOWN
 
 

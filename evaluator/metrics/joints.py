@@ -113,7 +113,7 @@ def _after(some: JointSpace, space: JointSpace, begin: int) -> float:
 
 
 def _angle(one: Array, other: Array) -> Array:
-    """Of the rotation between unit quaternions, in [0, pi] [rad]; exactly zero for equal ones, and for q and -q."""
+    """The angle between unit quaternions, in [0, pi] [rad]; exactly zero for equal ones, and for q and -q."""
     # at most the root of two
     apart = np.minimum(np.linalg.norm(one - other, axis=-1), np.linalg.norm(one + other, axis=-1))
     return np.asarray(4.0 * np.arcsin(apart / 2.0))

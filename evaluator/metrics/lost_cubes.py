@@ -76,7 +76,7 @@ class Fallen:
         self._was_higher: npt.NDArray[np.bool_] | None = None
 
     def feed(self, positions: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
-        """Of the next steps, which have, shape [step, env, item].
+        """Take in the next steps; returns which bodies have fallen, shape [step, env, item].
 
         positions  of centres in the board's frame [m], shape [step, env, item, 3]
         """

@@ -263,5 +263,5 @@ class GapTo:
     real: npt.NDArray[np.float64]
 
     def __call__(self, simulated: npt.NDArray[np.float64]) -> Gap:
-        """Of one run, as sim_to_real_gap."""
+        """The gap of a run, positions [m] as `sim_to_real_gap` takes them."""
         return sim_to_real_gap(simulated, self.real)

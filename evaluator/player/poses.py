@@ -126,15 +126,15 @@ def _motion(recording: Recording, env: int) -> Motion:
     try:
         return Motion(recording.fields, recording.look, origin=origins[env] if origins else (0.0, 0.0, 0.0))
     except DamagedRecording as error:
-        raise _named(recording, error) from None
+        raise _with_path(recording, error) from None
 
 
 def _frames(recording: Recording, motion: Motion, env: int, rows: slice) -> tuple[Frame, ...]:
     return motion.frames([recording.state(field.group, field.field)[rows, env] for field in motion.fields])
 
 
-def _named(recording: Recording, error: DamagedRecording) -> DamagedRecording:
-    """The same, with the file that it is about."""
+def _with_path(recording: Recording, error: DamagedRecording) -> DamagedRecording:
+    """The error, with the path of the recording before its text."""
     return DamagedRecording(f"{recording.path}: {str(error).removeprefix(f'{recording.path}: ')}")
 
 

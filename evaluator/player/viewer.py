@@ -45,7 +45,7 @@ class ViewWriter:
         self._sequence: dict[str, int] = {}
 
     def scene(self, envs: Sequence[EnvView]) -> None:
-        """What things look like, once."""
+        """Write the shapes and colours of all bodies, once."""
         entities = [entity for env in envs for entity in env.entities()]
         update = message_class("foxglove.SceneUpdate")(entities=entities)
         self._write(_SCENE, "foxglove.SceneUpdate", update, EPOCH_NS)

@@ -51,7 +51,7 @@ class Arms:
 
     @property
     def version(self) -> str:
-        """Of the engine."""
+        """The version of the engine."""
         return self.key.version
 
 

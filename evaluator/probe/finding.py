@@ -14,7 +14,7 @@ from gpusimbench.schemas.text import few, plural
 
 
 class Answer(StrEnum):
-    """Of a question."""
+    """How a question is answered."""
 
     YES = "yes"
     NO = "no"

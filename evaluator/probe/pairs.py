@@ -225,13 +225,13 @@ class _Steps:
             (self._pairs.a, self.rows_a[rows], self._envs_a),
             (self._pairs.b, self._rows_b[rows], self._envs_b),
         )
-        a, b = (_taken(recording.state(field.group, field.field), at, envs) for recording, at, envs in sides)
+        a, b = (_read_states(recording.state(field.group, field.field), at, envs) for recording, at, envs in sides)
         if self._pairs.mirror:
             return mirrored(field.field, a, ""), mirrored(field.field, b, self._pairs.mirror)
         return a, b
 
 
-def _taken(array: Any, rows: NDArray[np.int64], envs: NDArray[np.int64]) -> NDArray[Any]:
+def _read_states(array: Any, rows: NDArray[np.int64], envs: NDArray[np.int64]) -> NDArray[Any]:
     low, first = int(rows[0]), int(envs.min())
     read: NDArray[Any] = array.read(slice(low, int(rows[-1]) + 1), slice(first, int(envs.max()) + 1))
     return np.asarray(read[rows - low][:, envs - first])

@@ -167,7 +167,7 @@ class Plan:
         return self.steps if n_env > MANY * self.n_env else self.stride
 
     def arguments(self, arm: Arm, out: str, saved: str = "") -> list[str]:
-        """Of gsb-record, for one arm.
+        """Arguments of gsb-record for one arm.
 
         saved  the recording with the snapshot that a continued arm begins with
         """
@@ -194,5 +194,5 @@ class Plan:
         return [*given, "--no-view", "--compression", "zstd", "--out", out]
 
     def command(self, arm: Arm, out: str, saved: str = "") -> str:
-        """The same as a user would type it."""
+        """The command that records an arm, as a user would type it."""
         return shlex.join(["gsb-record", *self.arguments(arm, out, saved)])

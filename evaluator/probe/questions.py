@@ -1,4 +1,4 @@
-"""The questions of a probe: what each compares, and what it answers. A new question is one declaration.
+"""The questions of a probe, and what arms answer to each. A new question is one declaration.
 
 Each asks whether something matters that should not. "Yes" is the answer that one hopes for: nothing differs, bit for
 bit. Where runs that were asked for the same differ anyway, a difference tells nothing of its cause, and the answer is
@@ -9,114 +9,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from textwrap import shorten
 from typing import NamedTuple
-
-import numpy as np
 
 from gpusimbench.evaluator.metrics.levels import EqualityLevel
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import Arms, arms_of
-from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding, decided_alone, first_of, same_slots, worst_of
-from gpusimbench.evaluator.probe.pairs import Found, Pairs, compare_pairs
+from gpusimbench.evaluator.probe.asking import (
+    ask_captured,
+    ask_devices,
+    ask_envs,
+    ask_fresh,
+    ask_mirrored,
+    ask_neighbours,
+    ask_numbers,
+    ask_process,
+    ask_runs,
+    ask_slots,
+    goes_on,
+    left_alone,
+)
+from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding
+from gpusimbench.evaluator.probe.pairs import Found
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.read.streams import of_both_phases
-from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.fields import ENV
-from gpusimbench.schemas.initial import INITIAL_KINDS, Initial
-from gpusimbench.schemas.mirror import why_unlike_its_image
-from gpusimbench.schemas.text import bound, plural
-from gpusimbench.schemas.treatment import KINDS, Intervention
-
-_WHY = 60  # characters of why an arm is missing
-
-
-def left_alone(kind: str, others: str) -> Callable[[Arms], Asked | Missing]:
-    """The question of environments that are left alone, beside others that are treated so, in words."""
-
-    def ask(arms: Arms) -> Asked | Missing:
-        beside = _beside(arms, kind)
-        if isinstance(beside, Missing):
-            return beside
-        base, recording, done = beside
-        envs = sorted({*range(arms.n_env)} - {*done.treated(arms.n_env)})
-        if not envs:
-            return Missing("needs two environments")
-        return decided_alone(
-            compare_pairs(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside {others}"
-        )
-
-    return ask
-
-
-def goes_on(kind: str, what: str) -> Callable[[Arms], Asked | Missing]:
-    """The question of all environments, that go on after they were treated so, in words with {step} and {more}."""
-
-    def ask(arms: Arms) -> Asked | Missing:
-        beside = _beside(arms, kind)
-        if isinstance(beside, Missing):
-            return beside
-        base, recording, done = beside
-        said = what.format(step=done.step, more=done.more)
-        return decided_alone(compare_pairs(Pairs(base, recording, same_slots(range(arms.n_env)))), said)
-
-    return ask
-
-
-def fresh(arms: Arms) -> Asked | Missing:
-    """Environments that are reset with those of a run that has just begun."""
-    treated = _treated(arms, "reset")
-    if isinstance(treated, Missing):
-        return treated
-    if not arms.plain:
-        return Missing("needs a run whose environments begin as a reset leaves them")
-    recording, done = treated
-    envs = done.treated(arms.n_env)
-    pairs = Pairs(recording, arms.plain[0], same_slots(envs), ahead=done.step, first=1)
-    return decided_alone(
-        compare_pairs(pairs), f"{len(envs)} environments after a reset at step {done.step}, and fresh ones"
-    )
-
-
-def process(arms: Arms) -> Asked | Missing:
-    """A run and one that continues its snapshot in a process of its own."""
-    if arms.continued is None:
-        failed = next((why for how, why in arms.failed.items() if " snapshot" in how), "")
-        needed = "needs a run with --snapshot STEP, and its --replay FILE --from STEP"
-        return Missing(f"its run is {failed}" if failed else needed)
-    base, later = arms.continued
-    step = later.configuration.first_step
-    pairs = Pairs(base, later, same_slots(range(base.configuration.n_env)))
-    return decided_alone(
-        compare_pairs(pairs), f"a snapshot of step {step}, restored in another process, and the run that saved it"
-    )
-
-
-def _treated(arms: Arms, kind: str) -> tuple[Recording, Intervention] | Missing:
-    found = arms.treated.get(kind)
-    if found is None:
-        why = next((why for how, why in arms.failed.items() if f" {kind}@" in how), "")
-        return Missing(f"its run is {why}" if why else f"needs a run with --intervene {KINDS[kind].form}")
-    return found, Intervention.parse(found.configuration.intervention)
-
-
-def _beside(arms: Arms, kind: str) -> tuple[Recording, Recording, Intervention] | Missing:
-    """A run that was left alone, and one that was not."""
-    base, treated = first_of(arms.varied), _treated(arms, kind)
-    if isinstance(base, Missing):
-        return base
-    return treated if isinstance(treated, Missing) else (base, *treated)
-
-
-def _begun_otherwise(arms: Arms, kind: str) -> tuple[Recording, Recording, Initial] | Missing:
-    """A run that began with the usual states, and one that began with others of this kind."""
-    base, found = first_of(arms.varied), arms.otherwise.get(kind)
-    if isinstance(base, Missing):
-        return base
-    if found is None:
-        why = next((why for how, why in arms.failed.items() if f",{kind}:" in how), "")
-        return Missing(f"its run is {why}" if why else f"needs a run with --initial {INITIAL_KINDS[kind].form}")
-    return base, found, Initial.parse(found.configuration.initial)
 
 
 class Probed(NamedTuple):
@@ -166,7 +81,7 @@ def why_nothing_asked(recordings: Sequence[Recording]) -> str:
 
 def answers(arms: Arms) -> list[Finding]:
     """What the arms answer to each question."""
-    noise = _runs(arms)
+    noise = ask_runs(arms)
     varies = "" if isinstance(noise, Missing) or noise.found.first_step is None else _varies(noise.found)
     unknown = noise.reason if isinstance(noise, Missing) else ""
     found = [(question, _answer(question, arms, varies, unknown)) for question in QUESTIONS]
@@ -191,169 +106,23 @@ def _varies(noise: Found) -> str:
     return f"runs that were asked for the same differ too, from step {noise.first_step} on"
 
 
-def _runs(arms: Arms) -> Asked | Missing:
-    """Runs of the same treatment, environment by environment, of every treatment that has several."""
-    if not arms.repeated:
-        return Missing("needs two runs of the same configuration")
-    found = [
-        compare_pairs(Pairs(runs[0], other, same_slots(range(runs[0].configuration.n_env))))
-        for runs in arms.repeated
-        for other in runs[1:]
-    ]
-    count = sum(map(len, arms.repeated))
-    asked = worst_of(
-        found, f"{count} runs of {plural(len(arms.repeated), 'configuration')}, each with others of the same"
-    )
-    if isinstance(asked, Missing) or asked.found.level is not EqualityLevel.BIT_IDENTICAL:
-        return asked
-    agreed = sum(not isinstance(one, Missing) for one in found)
-    below = upper_bound_of_none(agreed)
-    return asked._replace(detail=f"one more run differs with a probability below {bound(below)} (95 % confidence)")
-
-
-def _envs(arms: Arms) -> Asked | Missing:
-    """Environment 0 with all others of a run in which all begin alike."""
-    if not arms.plain:
-        return Missing("needs a run whose environments begin alike")
-    if arms.n_env < 2:
-        return Missing("needs two environments")
-    run = arms.plain[0]
-    if why := run.apart_by_design:
-        return Missing(why)
-    found = compare_pairs(Pairs(run, run, tuple((0, env) for env in range(1, arms.n_env))))
-    return decided_alone(found, f"environment 0 and the {arms.n_env - 1} others of a run")
-
-
-def _numbers(arms: Arms) -> Asked | Missing:
-    """Environments of the usual run with those of the same slot and state among more, or fewer, environments."""
-    base = first_of(arms.varied)
-    if isinstance(base, Missing):
-        return base
-    if not arms.by_number:
-        return Missing("needs runs of other numbers of environments")
-    numbers = sorted(arms.by_number)
-    found = [compare_pairs(Pairs(base, arms.by_number[n], same_slots(range(min(n, arms.n_env))))) for n in numbers]
-    known = [(n, one) for n, one in zip(numbers, found, strict=True) if not isinstance(one, Missing)]
-    differ = [n for n, one in known if one.first_step is not None]
-    listed = ", ".join(map(str, numbers))
-    parts = [f"differs for {', '.join(map(str, differ))} environments"] if differ else []
-    others = {how: why for how, why in arms.failed.items() if _other_number(how, arms.n_env)}
-    parts += [
-        f"not with {how.partition(' ')[0]}: {shorten(why, _WHY, placeholder=' ...')}" for how, why in others.items()
-    ]
-    return worst_of(found, f"{arms.n_env} environments and {listed} of the same {_begun(arms)}", "; ".join(parts))
-
-
-def _other_number(how: str, n_env: int) -> bool:
-    # of a treatment in words, as in Arms.failed: another number of environments, and nothing done to them
-    return not how.startswith(f"{n_env} envs") and "@" not in how
-
-
-def _slots(arms: Arms) -> Asked | Missing:
-    """The same initial states in other slots."""
-    both = _begun_otherwise(arms, "shift")
-    if isinstance(both, Missing):
-        return both
-    base, shifted, initial = both
-    pairs = tuple(((env + initial.shift) % arms.n_env, env) for env in range(arms.n_env))
-    return decided_alone(
-        compare_pairs(Pairs(base, shifted, pairs)), f"the same {_begun(arms)}, {initial.shift} slots further"
-    )
-
-
-def _neighbours(arms: Arms) -> Asked | Missing:
-    """One environment among others that begin otherwise."""
-    both = _begun_otherwise(arms, "but")
-    if isinstance(both, Missing):
-        return both
-    base, others, initial = both
-    assert initial.but is not None
-    compared = f"environment {initial.but} among neighbours of other {_begun(arms)}"
-    return decided_alone(compare_pairs(Pairs(base, others, same_slots([initial.but]))), compared)
-
-
-def _mirrored(arms: Arms) -> Asked | Missing:
-    """The mirror images of all environments with what went on from the mirror images of their initial states."""
-    both, base = _begun_otherwise(arms, "mirror"), first_of(arms.varied)
-    axes = INITIAL_KINDS["mirror"].probed(arms.n_env) if isinstance(both, Missing) else both[2].mirror
-    if not isinstance(base, Missing) and (why := why_unlike_its_image(base.scene, str(axes))):
-        return Missing(f"the scene is not its own mirror image: {why}")
-    if isinstance(both, Missing):
-        return both
-    base, images, _ = both
-    pairs = Pairs(base, images, same_slots(range(arms.n_env)), mirror=str(axes))
-    plane = "z axis, by a half turn" if axes == "xy" else f"plane {axes} = 0"
-    return decided_alone(compare_pairs(pairs), f"the same {_begun(arms)}, mirrored in the {plane}")
-
-
-def _captured(arms: Arms) -> Asked | Missing:
-    """The timed phase, in which nobody looks at states, with the capture: by hashes."""
-    for run in (*arms.plain, *arms.varied):
-        phases = run.fingerprints("timed"), run.fingerprints("capture")
-        steps, timed, captured = of_both_phases(*phases, run.configuration.intervention)
-        begun = steps > 0
-        steps, timed, captured = steps[begun], timed[begun], captured[begun]
-        if not steps.size:
-            continue
-        differ = captured != timed
-        apart = np.flatnonzero(differ.any(axis=1))
-        first = int(steps[apart[0]]) if apart.size else None
-        level = EqualityLevel.BIT_IDENTICAL if first is None else EqualityLevel.DIFFERENT
-        files = (run.path, run.path)
-        found = Found(
-            level, run.configuration.n_env, int(differ.any(axis=0).sum()), len(steps), first, None, 0, 0.0, 0, (), "m",
-            files,
-        )  # fmt: skip
-        return Asked(found, f"timed and captured states, at step {', '.join(map(str, steps.tolist()))}")
-    return Missing("needs a run with both phases, timed and capture, that passed the same steps")
-
-
-def _device(arms: Arms) -> Asked | Missing:
-    """Runs of the same treatment on other devices; only those of devices on which runs repeat themselves."""
-    found: list[Found | Missing] = []
-    devices: dict[str, None] = {}
-    differ: dict[str, None] = {}
-    for other in arms.others:
-        noise = _runs(other)
-        if not isinstance(noise, Missing) and noise.found.first_step is not None:
-            continue
-        for how in arms.runs.keys() & other.runs.keys():
-            run, twin = arms.runs[how], other.runs[how]
-            one = compare_pairs(Pairs(run, twin, same_slots(range(run.configuration.n_env))))
-            if isinstance(one, Missing):
-                continue
-            found.append(one)
-            devices[other.key.device] = None
-            if one.first_step is not None:
-                differ[how] = None
-    if not found:
-        return Missing("needs the same runs on another device")
-    said = f"{plural(len(found), 'run')} and the same on {', '.join(devices)}"
-    return worst_of(found, said, f"differs with {', '.join(sorted(differ))}" if differ else "")
-
-
-def _begun(arms: Arms) -> str:
-    """What differs between environments, and goes with them into other slots."""
-    return "initial states and parameters" if arms.key.told["vary"] else "initial states"
-
-
 QUESTIONS = (
-    Question("runs", "repeats itself from run to run", _runs, attributable=False),
-    Question("envs", "identical environments stay identical", _envs, attributable=False),
-    Question("capture", "capturing states changes nothing", _captured),
-    Question("number", "independent of the number of environments", _numbers),
-    Question("slot", "independent of the slot", _slots),
-    Question("neighbours", "independent of the neighbours' states", _neighbours),
+    Question("runs", "repeats itself from run to run", ask_runs, attributable=False),
+    Question("envs", "identical environments stay identical", ask_envs, attributable=False),
+    Question("capture", "capturing states changes nothing", ask_captured),
+    Question("number", "independent of the number of environments", ask_numbers),
+    Question("slot", "independent of the slot", ask_slots),
+    Question("neighbours", "independent of the neighbours' states", ask_neighbours),
     Question("poison", "a NaN in one environment harms no other", left_alone("poison", "one that is not finite")),
     Question("bystanders", "a reset leaves other environments alone", left_alone("reset", "others that are reset")),
-    Question("fresh", "a reset environment is as good as a fresh one", fresh),
+    Question("fresh", "a reset environment is as good as a fresh one", ask_fresh),
     Question(
         "restored", "a restored state goes on as before",
         goes_on("excursion", "saved at step {step}, {more} further steps, restored"),
     ),
-    Question("process", "a snapshot goes on in another process as before", process),
-    Question("mirrored", "a mirrored state goes on as the mirrored one", _mirrored, gate=False),
-    Question("device", "independent of the device", _device, gate=False, asked_of_few=True),
+    Question("process", "a snapshot goes on in another process as before", ask_process),
+    Question("mirrored", "a mirrored state goes on as the mirrored one", ask_mirrored, gate=False),
+    Question("device", "independent of the device", ask_devices, gate=False, asked_of_few=True),
     Question(
         "set", "positions and velocities are the whole state",
         goes_on("set", "set at step {step} to the state that they had"), gate=False,

@@ -40,12 +40,12 @@ class ProbeFolder:
         together = gathered(((plan.simulator, plan.scene, plan.options), plan) for plan in plans)
         for levels in together.values():
             self._clock(levels)
-        return [recording.path for plan in plans for recording in self._of(plan)]
+        return [recording.path for plan in plans for recording in self._runs(plan)]
 
     def _record_arms(self, plan: Plan) -> None:
         title = f"recording {plan.simulator}, {plan.determinism}"
         refused = self._record_each(plan, plan.missing(self._configurations(plan)), title)
-        again = plan.missing(self._configurations(plan), differing(self._of(plan)))
+        again = plan.missing(self._configurations(plan), differing(self._runs(plan)))
         self._record_each(plan, [arm for arm in again if arm not in refused], f"{title} once more")
         for why in dict.fromkeys(refused.values()):  # an ability that is missing is an answer
             count = sum(reason == why for reason in refused.values())
@@ -85,15 +85,15 @@ class ProbeFolder:
 
     def _snapshot_for(self, plan: Plan, arm: Arm) -> str:
         """The latest recording with the snapshot that an arm continues; empty without one."""
-        found = [r for r in self._of(plan) if arm.continued in r.configuration.snapshots and r.status == "complete"]
+        found = [r for r in self._runs(plan) if arm.continued in r.configuration.snapshots and r.status == "complete"]
         return str(found[-1].path) if found else ""
 
-    def _of(self, plan: Plan) -> list[Recording]:
+    def _runs(self, plan: Plan) -> list[Recording]:
         found = (Recording(place(str(path))) for path in sorted(self.path.glob("*.mcap")))
         return [r for r in found if r.status != "incomplete" and plan.has(r.configuration)]
 
     def _configurations(self, plan: Plan) -> list[RunConfiguration]:
-        return [recording.configuration for recording in self._of(plan)]
+        return [recording.configuration for recording in self._runs(plan)]
 
 
 def differing(recordings: Sequence[Recording]) -> list[Arm]:

@@ -56,14 +56,14 @@ class ActionContents:
         self, topic: str, read: Callable[[memoryview, Generator | None], tuple[BlockHeader, _T]]
     ) -> Iterator[tuple[BlockHeader, _T]]:
         described = described_generator(topic, self._container.channels[topic].metadata)
-        generator = None if described is None else self._named(topic, lambda: read_generator(described))
+        generator = None if described is None else self._naming_topic(topic, lambda: read_generator(described))
         for content in self._container.in_sequence(topic):
-            header, found = self._named(topic, partial(read, content, generator))
+            header, found = self._naming_topic(topic, partial(read, content, generator))
             if header.encoding:
                 self._room -= header.steps * header.envs
             yield header, found
 
-    def _named(self, topic: str, read: Callable[[], _T]) -> _T:
+    def _naming_topic(self, topic: str, read: Callable[[], _T]) -> _T:
         with damage_in(f"{self._container.path}: {topic}"):
             return read()
 

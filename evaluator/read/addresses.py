@@ -60,7 +60,7 @@ def left_below(places: Sequence[Place]) -> list[str]:
 
 
 def expand_paths(paths: Sequence[Path]) -> list[Path]:
-    """The same for files of this machine."""
+    """Files of this machine, as of `expand`, each once."""
     return list(dict.fromkeys(path for given in paths for path in _expanded(given)))
 
 

@@ -50,7 +50,7 @@ class Described(ABC):
 
     @property
     def configuration(self) -> RunConfiguration:
-        """What was asked."""
+        """The configuration that was asked of the run."""
         return self.provenance.configuration
 
     @property
@@ -92,7 +92,7 @@ def unconfirmed(path: Place) -> str:
 
 @dataclass(frozen=True)
 class Factors:
-    """Of one quantity, such as "mass".
+    """The factors of one quantity, such as "mass".
 
     items   names of the bodies and links, or of the robot
     values  by which the scene's parameters are multiplied, shape [env, item]

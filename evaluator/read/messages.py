@@ -193,7 +193,7 @@ class Messages:
         return found
 
     def each(self, topic: str, message: str) -> Iterator[Any]:
-        """The same one after another, however many."""
+        """Messages of a topic, parsed one after another, however many there are."""
         room = _FREE_BYTES + _MOST_PER_BYTE * self.container.size
         parse = message_class(message).FromString
         for content in self.contents(topic) if self.has(topic) else ():

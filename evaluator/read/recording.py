@@ -73,9 +73,9 @@ class Recording(Described):
             raise DamagedRecording(
                 f"{self.path}: cut short before its provenance was written; nothing can be said of it"
             )
-        self.provenance = self._named(Provenance.from_json, text)
+        self.provenance = self._parse(Provenance.from_json, text)
         text = self._container.attachment(SIMULATION)
-        self.simulation = self._named(Simulation.from_json, text) if text is not None else None
+        self.simulation = self._parse(Simulation.from_json, text) if text is not None else None
         self._check_origins()
         self._end = self._read_end()
         if self._end is None:
@@ -158,7 +158,7 @@ class Recording(Described):
 
     @cached_property
     def action_streams(self) -> dict[str, ActionStream]:
-        """What each phase applied, by phase."""
+        """The actions that were applied, by phase."""
         return read_action_streams(self._messages, n_env=self.configuration.n_env)
 
     def fingerprints(self, phase: str) -> Fingerprints | None:
@@ -319,7 +319,7 @@ class Recording(Described):
             )
         return self._messages.parse("gsb.v1.RunEnd", contents[-1])
 
-    def _named(self, parse: Any, text: bytes) -> Any:
+    def _parse(self, parse: Any, text: bytes) -> Any:
         with damage_in(self.path):
             return parse(text, self._json)
 

@@ -127,7 +127,7 @@ def read_overflows(messages: Messages, *, n_env: int) -> dict[str, Overflows]:
 
 
 def read_action_streams(messages: Messages, *, n_env: int) -> dict[str, ActionStream]:
-    """What each phase applied, by phase."""
+    """The actions that were applied, by phase."""
     found = {}
     for topic in messages.topics("/action_stream/"):
         parts = messages.read(topic, "gsb.v1.ActionStream")

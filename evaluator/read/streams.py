@@ -40,7 +40,7 @@ class StepTiming:
 
     @property
     def elapsed_s(self) -> float:
-        """From the first begin to the last end of each window, summed over windows [s]."""
+        """The time from the first begin to the last end of each window, summed over windows [s]."""
         ends = (*(first - 1 for first in self.windows[1:]), -1)
         begins = list(self.windows)
         return float((self.end_ns[list(ends)] - self.start_ns[begins]).sum()) * 1e-9
@@ -64,7 +64,7 @@ class StepTiming:
 
     @property
     def total_s(self) -> float:
-        """Of all intervals, without what lies between them [s]."""
+        """The time of all intervals, without what lies between them [s]."""
         return float((self.end_ns - self.start_ns).sum()) * 1e-9
 
 

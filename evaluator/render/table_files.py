@@ -66,7 +66,7 @@ def table_files(document: Document, formats: Iterable[Format]) -> dict[str, byte
 
     A key that two tables have is numbered.
     """
-    named = _named(document.tables())
+    named = _by_unique_name(document.tables())
     wanted = [(one, _WRITERS[one]) for one in formats if one in _WRITERS]
     return {
         f"{name}.{one.value}": write(table).encode("utf-8", "backslashreplace")
@@ -104,7 +104,7 @@ _WRITERS: dict[Format, Callable[[Table], str]] = {
 }
 
 
-def _named(tables: Iterable[Table]) -> dict[str, Table]:
+def _by_unique_name(tables: Iterable[Table]) -> dict[str, Table]:
     found: dict[str, Table] = {}
     for table in tables:
         name, number = table.key, 1

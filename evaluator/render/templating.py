@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.text import printable
@@ -34,6 +34,11 @@ def page_templates(loader: jinja2.BaseLoader) -> jinja2.Environment:
 def _visible(value: Any) -> Any:
     """Text without characters that a page cannot hold; markup of our own is left alone."""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+def escaped(text: str) -> Markup:
+    """A stranger's text: what it holds is shown, and none of it is markup."""
+    return escape(printable(text))
 
 
 def script(name: str) -> Markup:

@@ -84,7 +84,7 @@ def dump_json(found: ReplayComparison) -> str:
 
 
 def verdict(found: ReplayComparison) -> str:
-    """In a sentence."""
+    """The verdict in a sentence."""
     n, counts = len(found.episodes), {one.verdict: one.episodes for one in found.shares}
     if counts[EpisodeVerdict.IDENTICAL] == n:
         return f"{_all(found)} bit for bit."

@@ -17,7 +17,7 @@ REWARD = "reward"
 
 
 class EpisodeVerdict(Enum):
-    """Of an episode, strongest first.
+    """The verdict on an episode, strongest first.
 
     IDENTICAL  every observation and reward has the same bits, and the ends are the same
     SAME       bits differ; length, ends, success and, within a tolerance, the return are the same

@@ -75,13 +75,15 @@ _OF_BODIES = (mechanics.section, playback.section, density.section, consistency.
 
 
 def report(source: Source) -> Document:
-    """All that an evaluation says."""
+    """The whole report of an evaluation."""
     made_by: tuple[Block, ...] = (
         Text("Made with:"),
         Code((source.command,)),
         Text("All figures as SVG, PDF and CSV: gsb-eval --figures DIR. All tables as files: gsb-eval --tables DIR."),
     )
-    return Document(_title(source), (*overview(source), *_made(source, SECTIONS)), asked_of(source.evaluation), made_by)
+    return Document(
+        _title(source), (*overview(source), *_sections(source, SECTIONS)), asked_of(source.evaluation), made_by
+    )
 
 
 def _title(source: Source) -> str:
@@ -100,10 +102,10 @@ def _title(source: Source) -> str:
 def in_short(source: Source) -> Document:
     """The same without where each recording comes from, which would take pages of a terminal: see gsb-info."""
     sections = [one for one in SECTIONS if one not in (provenance.section, provenance.every_file)]
-    return Document("", (*overview(source), *_made(source, sections)), asked_of(source.evaluation))
+    return Document("", (*overview(source), *_sections(source, sections)), asked_of(source.evaluation))
 
 
-def _made(source: Source, sections: Iterable[Callable[[Source], Section | Missing | None]]) -> list[Section]:
+def _sections(source: Source, sections: Iterable[Callable[[Source], Section | Missing | None]]) -> list[Section]:
     """The sections that have something to say, and the reasons of the others in a last one."""
     asked = [one for one in sections if source.evaluation.of_bodies or one not in _OF_BODIES]
     found = [section(source) for section in asked]

@@ -161,7 +161,7 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
         yield "size", f"{plural(c.n_env, 'environment')}, dt {c.dt:g} s, {_seed(c)}"
         for name, value in c.settings:
             yield name, ": ".join(filter(None, (TELLING[name].words(value), TELLING[name].note)))
-        yield "protocol", "; ".join(_asked(c))
+        yield "protocol", "; ".join(_protocol(c))
         yield "determinism", c.determinism + (" (the engine as it ships)" if c.determinism == "default" else "")
     given = c.options
     if s:
@@ -175,7 +175,7 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
         yield "options", _pairs(given, given)
 
 
-def _asked(c: RunConfiguration) -> Iterator[str]:
+def _protocol(c: RunConfiguration) -> Iterator[str]:
     if "timed" in c.phases:
         yield f"{c.warmup} warm-up and {c.timed_steps} timed steps"
     if "capture" in c.phases:

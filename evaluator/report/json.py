@@ -23,10 +23,10 @@ from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.fidelity import CheckVerdict
-from gpusimbench.evaluator.results.group_runs import Reference
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.paper_tables import AtMax, Capability, capability
 from gpusimbench.evaluator.results.ranking import Contender
+from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, RunSpread
 from gpusimbench.evaluator.results.sweeps import SOURCES, Accumulation, Sweep, SweepPoint
 from gpusimbench.evaluator.results.validity import Validity
@@ -112,7 +112,7 @@ def _convergence(one: Convergence) -> dict[str, Any]:
 
 
 def dump_json(evaluation: Evaluation) -> str:
-    """The same as text, ending in a newline."""
+    """The JSON document of an evaluation as text, ending in a newline."""
     return dump(to_json(evaluation))
 
 

@@ -189,7 +189,7 @@ def _rules(work: TimedWork) -> str:
 
 
 def timed_record(work: TimedWork) -> dict[str, Any]:
-    """The same for JSON."""
+    """What a throughput was measured over, as JSON has it."""
     return {
         "windows": [{"first_step": w.first, "last_step": w.last, "steps": w.steps} for w in work.windows],
         "seconds": list(work.seconds) if work.seconds else None,

@@ -36,7 +36,7 @@ _UNEVEN = 0.1  # share by which the effect of a change differs between environme
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Of a law to one parameter.
+    """How sensitive a law is to one parameter.
 
     parameter  as of LawValues.slopes; of a law of counts "probability of a face"
     slope      derivative of the predicted value by it; 0: the law does not depend on it; None: of a law of counts

@@ -62,7 +62,7 @@ def ranked_throughput(fps: Estimate) -> float:
 
 
 def ranked_words(fps: Estimate) -> str:
-    """The same with its unit."""
+    """The throughput of `ranked_throughput` in words, with its unit."""
     speeds = fps.of(Throughput).speeds
     return speeds.slowest if speeds else f"{ranked_throughput(fps):,.0f} {FPS.unit}"
 
@@ -83,7 +83,7 @@ def shown_slower(slower: Estimate, faster: Estimate) -> bool:
 
 
 def _speeds(group: GroupRuns) -> Speeds | None:
-    """By outcome, where runs have several outcomes and throughput goes with them."""
+    """Throughputs by outcome, where runs have several outcomes and throughput goes with them."""
     classes = DISTINCT_RUNS.estimate(group).of(DistinctRuns).classes
     hashed = [_fps(run) for run in group.runs if run.histories] if classes else []
     timed = [(fps, label) for fps, label in zip(hashed, classes, strict=True) if not isinstance(fps, Missing)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import HexGrid, marginal
 from gpusimbench.evaluator.metrics.lost_cubes import Board
-from gpusimbench.evaluator.results.group_runs import Reference
+from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import Cloud, GroupResult, Map
+from gpusimbench.schemas.gathering import gathered
 
 _BIN_M = 0.01  # half a cube's edge
 _MARGIN_M = 0.1
@@ -20,6 +21,21 @@ _HALF_EXTENT_M = 1.0  # without a board: what lies further from a group's middle
 _TAIL = 0.01  # likewise: share of a group's positions at each end of an axis that the map need not hold
 
 Extent = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def maps_of(
+    results: Sequence[GroupResult], planar: Mapping[str, NDArray[np.float64] | None], reference: Reference | None
+) -> dict[str, Map]:
+    """The map of each scene that has one; see `shared_map`.
+
+    planar  positions [m] by the label of their group, each [run, env, item, 2]; None where a group has none
+    """
+    maps = {}
+    for scene, ours in gathered((result.group.key.scene, result) for result in results).items():
+        board = next((run.board for result in ours for run in result.group.complete if run.board), None)
+        if shared := shared_map([planar[result.label] for result in ours], reference, scene, board):
+            maps[scene] = shared
+    return maps
 
 
 def shared_map(

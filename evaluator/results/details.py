@@ -27,7 +27,7 @@ _HIDDEN = {"hidden": True}
 
 @dataclass(frozen=True)
 class Details:
-    """Nothing but the value."""
+    """Details of an estimate of which nothing but the value is known."""
 
     @property
     def spoilt(self) -> bool:
@@ -68,7 +68,7 @@ def _exchanged(found: Floor) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class OverRuns(Details):
-    """Of a metric with one value a run.
+    """Details of a metric with one value a run.
 
     per_run  the values, in the unit of the metric
     """
@@ -87,7 +87,7 @@ class RunPresence:
 
 @dataclass(frozen=True)
 class Throughput(OverRuns):
-    """Of throughput.
+    """Details of throughput.
 
     timing_covers  what lies between the clocks, in the words of the simulator
     co_tenants     by run; None where the simulator ran on the CPU
@@ -117,7 +117,7 @@ class ShrunkRun:
 
 @dataclass(frozen=True)
 class Memory(OverRuns):
-    """Of a metric of memory.
+    """Details of a metric of memory.
 
     source             "device", "process", "allocator" or "host"
     checkpoints_bytes  of every run that was sampled
@@ -153,7 +153,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class BetweenEnvs(OverRuns):
-    """Of W1 between environments.
+    """Details of W1 between environments.
 
     distinct_at_sample_step  bitwise different environments of each run
     sampled                  None where all environments were compared
@@ -170,7 +170,7 @@ class BetweenEnvs(OverRuns):
 
 @dataclass(frozen=True)
 class BetweenRuns(Details):
-    """Of W1 between runs.
+    """Details of W1 between runs.
 
     n_run                 runs
     permutation_test      of the first two runs
@@ -196,7 +196,7 @@ class JointsBetweenEnvs(OverRuns):
 
 @dataclass(frozen=True)
 class JointsBetweenRuns(Details):
-    """The same between runs; see BetweenRuns."""
+    """Of distances in joint space between runs; see BetweenRuns."""
 
     n_run: int = 0
     joints: int = 0
@@ -204,7 +204,7 @@ class JointsBetweenRuns(Details):
 
 @dataclass(frozen=True)
 class ToReference(OverRuns):
-    """Of W1 to the reference.
+    """Details of W1 to the reference.
 
     reference         what it is
     measured          whether it is real trials
@@ -222,7 +222,7 @@ class ToReference(OverRuns):
 
 @dataclass(frozen=True)
 class OverTosses(OverRuns):
-    """Of an error of a thrown cube.
+    """Details of an error of a thrown cube.
 
     tosses          that were compared
     tracking_floor  the same error of a cube in free fall before its first contact, in the unit of the metric; None
@@ -250,7 +250,7 @@ class OverTime:
 
 @dataclass(frozen=True)
 class DistinctEnvs(Details):
-    """Of bitwise distinct environments.
+    """Details of the number of bitwise distinct environments.
 
     per_run                how many in each run
     classes                of the environments of each run, numbered in order of first appearance
@@ -270,7 +270,7 @@ class DistinctEnvs(Details):
 
 @dataclass(frozen=True)
 class DistinctRuns(Details):
-    """Of bitwise distinct runs; see DistinctEnvs.
+    """Details of the number of bitwise distinct runs; see DistinctEnvs.
 
     classes      of the runs
     run_indices  their indices
@@ -349,7 +349,7 @@ class OffTheBoard(Details):
 
 @dataclass(frozen=True)
 class SunkCubes(Details):
-    """Of cubes that sank.
+    """Details of cubes that sank.
 
     total, of   of all runs
     cubes       of an environment
@@ -368,7 +368,7 @@ class SunkCubes(Details):
 
 @dataclass(frozen=True)
 class PublishedType(Details):
-    """Of the published type.
+    """Details of the published type.
 
     resampled  how it would come out again; `decided_by` are indices of runs as they were recorded
     """

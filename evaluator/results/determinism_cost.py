@@ -81,11 +81,11 @@ def price_list(results: Sequence[GroupResult]) -> tuple[Family, ...]:
     built: dict[GroupKey, GroupKey] = {}
     for result in results:
         if result.group.key.version:
-            built.setdefault(_asked(result), _configuration(result))
+            built.setdefault(_key_but_level(result), _configuration(result))
     members: dict[GroupKey, list[GroupResult]] = {}
     for result in results:
         own = _configuration(result)
-        key = own if result.group.key.version else built.get(_asked(result), own)
+        key = own if result.group.key.version else built.get(_key_but_level(result), own)
         members.setdefault(key, []).append(result)
     return tuple(family for found in members.values() for family in _families(found))
 
@@ -111,7 +111,7 @@ def _base_of(level: GroupResult, defaults: Sequence[GroupResult]) -> GroupResult
     return min(able, key=lambda d: (not d.group.key.version, len(_differs(level, d))), default=None)
 
 
-def _asked(result: GroupResult) -> GroupKey:
+def _key_but_level(result: GroupResult) -> GroupKey:
     conditions = {n: v for n, v in _conditions(result).items() if n not in _environment(result)}
     return replace(asked(result.group.recordings[0]), determinism="", conditions=json.dumps(conditions))
 
@@ -119,7 +119,7 @@ def _asked(result: GroupResult) -> GroupKey:
 def _configuration(result: GroupResult) -> GroupKey:
     key = result.group.key
     return replace(
-        _asked(result), version=key.version, device=key.device, scene_hash=key.scene_hash, layout=key.layout,
+        _key_but_level(result), version=key.version, device=key.device, scene_hash=key.scene_hash, layout=key.layout,
         origins=key.origins, switches=json.dumps(_precision(result), sort_keys=True),
     )  # fmt: skip
 

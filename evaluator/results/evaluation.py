@@ -10,8 +10,8 @@ from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.probe.questions import Probed
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.determinism_cost import Family
-from gpusimbench.evaluator.results.group_runs import Reference
 from gpusimbench.evaluator.results.ranking import Comparison
+from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map
 from gpusimbench.evaluator.results.sweeps import Accumulation, Sweep
 from gpusimbench.schemas.fields import ENV

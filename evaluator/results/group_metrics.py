@@ -53,7 +53,7 @@ _SEED = 0
 
 
 def _solved(group: GroupRuns) -> list[ParallelVariability] | Missing:
-    """Of every run that recorded the sample step; identical runs are solved once."""
+    """W1 between environments of every run that recorded the sample step; identical runs are solved once."""
     planar = group.planar
     if isinstance(planar, Missing):
         return planar
@@ -71,7 +71,7 @@ def _solved(group: GroupRuns) -> list[ParallelVariability] | Missing:
 
 
 def _parallel_values(group: GroupRuns) -> list[float | Missing]:
-    """Of every run; a run that did not record the sample step has none."""
+    """A value of every run; a run that did not record the sample step has none."""
     found = W1_PARALLEL.estimate(group)
     per_run = iter(found.of(BetweenEnvs).per_run or ())
     none = found.value if isinstance(found.value, Missing) else Missing("the sample step was not recorded")

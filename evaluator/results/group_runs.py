@@ -11,16 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.compute.work import HERE, Work
-from gpusimbench.evaluator.metrics.density import Density
 from gpusimbench.evaluator.metrics.identity import distinct_over_time
 from gpusimbench.evaluator.metrics.lost_cubes import clamped
 from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors, TrackingFloor
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
+from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.runs.state_hashes import side_by_side
-from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
 from gpusimbench.schemas.gathering import gathered
-from gpusimbench.schemas.location import Place
 
 
 def sampled(runs: Runs) -> Runs:
@@ -150,27 +148,3 @@ class GroupRuns:
                 reference = replace(reference, positions=edge)
         same = np.array_equal(moved, self.planar)
         return replace(self, moved=self.planar if same else moved, reference=reference, known={})
-
-
-@dataclass(frozen=True)
-class Reference:
-    """The positions that simulations are compared with.
-
-    label      what they are
-    path       of the recording
-    run_id     of the recording
-    measured   True for real trials, False for another simulation
-    scene      that they belong to
-    positions  [m], shape [trial, item, 2]
-    density    on the shared grid
-    tosses     measured motions of a thrown cube; None where it has none
-    """
-
-    label: str
-    path: Place
-    run_id: str
-    measured: bool
-    scene: str
-    positions: NDArray[np.float64]
-    density: Density | None = None
-    tosses: MeasuredTosses | None = None

@@ -60,7 +60,7 @@ def run_distances(spaces: list[JointSpace], unit: str) -> NDArray[np.float64]:
 
 
 def _between_envs(unit: str, group: GroupRuns) -> list[float | Missing]:
-    """Of every run; a run that did not record the sample step has none."""
+    """A value of every run; a run that did not record the sample step has none."""
     runs = group.at_sample
     spaces = joint_spaces(runs, unit)
     if not isinstance(spaces, Missing) and runs[0].apart_by_design:
@@ -115,7 +115,7 @@ def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     )
 
 
-def _made(unit: str, name: str, what: str, joints: str) -> tuple[Metric, Metric]:
+def _between_envs_and_runs(unit: str, name: str, what: str, joints: str) -> tuple[Metric, Metric]:
     of = f"root mean square over {joints}"
     return (
         Metric(
@@ -138,8 +138,8 @@ def _made(unit: str, name: str, what: str, joints: str) -> tuple[Metric, Metric]
 
 
 JOINT_METRICS = (
-    *_made("rad", "angle", "joint angles", "hinges and ball joints"),
-    *_made("cm", "slide", "sliding joints", "sliding joints"),
+    *_between_envs_and_runs("rad", "angle", "joint angles", "hinges and ball joints"),
+    *_between_envs_and_runs("cm", "slide", "sliding joints", "sliding joints"),
 )
 """Of joints that turn, and of joints that slide: between environments, between runs."""
 

@@ -154,12 +154,12 @@ class Estimate:
 
     @property
     def name(self) -> str:
-        """Of the metric."""
+        """The name of the metric."""
         return self.metric.name
 
     @property
     def unit(self) -> str:
-        """Of the metric."""
+        """The unit of the metric."""
         return self.metric.unit
 
     def of(self, kind: type[_D]) -> _D:

@@ -11,9 +11,9 @@ from gpusimbench.evaluator.metrics.radar import Axis, Radar, SimulatorResult, ra
 from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, common_memory, ranked_throughput
 from gpusimbench.evaluator.results.faults import faults_anywhere
-from gpusimbench.evaluator.results.group_runs import Reference
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.metrics import on_radar
+from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, swept_only
 from gpusimbench.evaluator.results.timed_work import largest_comparable, most_common, window_key
@@ -176,7 +176,7 @@ def _timed_alike(sweep: Sweep) -> Hashable:
 
 
 def _timed_otherwise(groups: Sequence[GroupResult]) -> dict[str, str]:
-    """By label, why the throughput of a group is not compared: it was timed over other steps than most."""
+    """Why the throughput of a group is not compared, by label: it was timed over other steps than most."""
     timed = {r.label: window_key(r.group.key, r.timed) for r in groups if r.timed.windows}
     if not timed:
         return {}

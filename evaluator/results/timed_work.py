@@ -81,7 +81,7 @@ class TimedWork:
 
 
 def timed_work(key: GroupKey, runs: Sequence[Run], unmet: Unmet) -> TimedWork:
-    """Of a group by its key, its complete runs and the rules that its recordings do not meet."""
+    """The timed work of a group: its key, its complete runs and the rules that its recordings do not meet."""
     firsts = [run.timed_from for run in runs if not isinstance(run.timed_from, Missing)]
     windows = {Window(first, first + key.timed_steps) for first in firsts}
     seconds = [run.elapsed_s for run in runs if not isinstance(run.elapsed_s, Missing)]
@@ -169,7 +169,7 @@ class Speeds:
 
     @property
     def slowest(self) -> str:
-        """What every run reaches."""
+        """The throughput that every run reaches, in words."""
         return f"{self.outcomes[0].said} env-steps/s in the slowest of {len(self.outcomes)} outcomes"
 
     @property
@@ -187,6 +187,6 @@ class Speeds:
 
 
 def speeds_of(throughputs: Sequence[float], outcomes: Sequence[int]) -> Speeds | None:
-    """By outcome; None where throughputs [env-steps/s], one a run, are not shown to go with it."""
+    """Speeds by outcome; None where throughputs [env-steps/s], one a run, are not shown to go with it."""
     p = p_value(throughputs, outcomes) if throughputs else 1.0
     return Speeds(tuple(Speed(*one) for one in ranges_of(throughputs, outcomes)), p) if p <= ALPHA else None

@@ -41,18 +41,18 @@ LEVEL = 0.05
 """Adjusted p values below this tell two groups apart."""
 
 
-def _told(of_runs: Sequence[_Errors | Missing]) -> list[_Errors] | Missing:
+def _errors_of_runs(of_runs: Sequence[_Errors | Missing]) -> list[_Errors] | Missing:
     """Errors of the runs that have any, or why none has."""
     found = [errors for errors in of_runs if not isinstance(errors, Missing)]
     reasons = [errors.reason for errors in of_runs if isinstance(errors, Missing)]
     return found or Missing(reasons[0] if reasons else "no run of this group is complete")
 
 
-def _of(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate | Missing]:
+def _mean_of(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate | Missing]:
     """The mean over runs and tosses of a field of TossErrors, in the unit of the metric."""
 
     def estimate(metric: Metric, group: GroupRuns) -> Estimate | Missing:
-        found = _told(group.tosses)
+        found = _errors_of_runs(group.tosses)
         if isinstance(found, Missing):
             return found
         per_toss = _per_toss(found, field) * factor
@@ -80,7 +80,7 @@ def _local(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate 
     """The mean over runs and tosses of a field of LocalErrors, in the unit of the metric."""
 
     def estimate(metric: Metric, group: GroupRuns) -> Estimate | Missing:
-        found = _told(group.local)
+        found = _errors_of_runs(group.local)
         if isinstance(found, Missing):
             return found
         of_runs = np.array([getattr(errors, field) for errors in found]) * factor
@@ -117,54 +117,54 @@ TOSS_POSITION = Metric(
     "the measured rows (points in time) of a toss after the first row, then over tosses. `tracking_floor`: the same "
     "distance for a cube in free fall before the first contact; no simulation can be closer to the measurement",
     method="distance from the simulated centre to the toss's, mean over the rows of a toss", table=Table.REALITY,
-    of_group=_of("position", _CM), interval=_INTERVAL, optional=True,
+    of_group=_mean_of("position", _CM), interval=_INTERVAL, optional=True,
 )  # fmt: skip
 
 TOSS_ROTATION = Metric(
     "toss_rotation", "error of rotation", "deg", Direction.LOWER,
     "angle of the rotation from the measured to the simulated orientation, mean as for `toss_position`",
     method="angle from the simulated orientation to the toss's, mean over the rows of a toss", table=Table.REALITY,
-    of_group=_of("rotation", _DEGREES), interval=_INTERVAL, optional=True,
+    of_group=_mean_of("rotation", _DEGREES), interval=_INTERVAL, optional=True,
 )  # fmt: skip
 
 TOSS_END_POSITION = replace(
     TOSS_POSITION, name="toss_end_position", title="error of position at the end",
     docs="distance between the centres at the last measured row of each toss that the run recorded (see `--stride`)",
     method="distance from the simulated centre to the toss's at its last row",
-    of_group=_of("end_position", _CM),
+    of_group=_mean_of("end_position", _CM),
 )  # fmt: skip
 
 TOSS_END_ROTATION = replace(
     TOSS_ROTATION, name="toss_end_rotation", title="error of rotation at the end",
     docs="angle between the orientations at the same row",
     method="angle from the simulated orientation to the toss's at its last row",
-    of_group=_of("end_rotation", _DEGREES),
+    of_group=_mean_of("end_rotation", _DEGREES),
 )  # fmt: skip
 
 TOSS_FACE = replace(
     TOSS_POSITION, name="toss_face", title="same face up", unit="%", direction=Direction.HIGHER,
     docs="share of tosses that end with the same face up as measured; guessing gives 1 in 6",
-    method="tosses whose simulation ends with the same face up", of_group=_of("end_face", 100.0),
+    method="tosses whose simulation ends with the same face up", of_group=_mean_of("end_face", 100.0),
 )  # fmt: skip
 
 TOSS_REST = replace(
     TOSS_POSITION, name="toss_rest", title="error of time to rest", unit="s", direction=Direction.NEITHER,
     docs="time after which the cube stays slower than 3 cm/s and 0.3 rad/s, minus that of the measured toss; if the "
     "simulated cube still moves at the last measured row, the time of that row is used, a lower bound",
-    method="time to rest less that of the toss", of_group=_of("rest_time", 1.0),
+    method="time to rest less that of the toss", of_group=_mean_of("rest_time", 1.0),
 )  # fmt: skip
 
 TOSS_ENERGY = replace(
     TOSS_POSITION, name="toss_energy", title="error of energy", unit="mJ",
     docs="absolute difference of the mechanical energies of a uniform cube, mean over the rows of a toss",
     method="difference of the simulated mechanical energy from the toss's, absolute, mean over the rows of a toss",
-    of_group=_of("energy", _MJ),
+    of_group=_mean_of("energy", _MJ),
 )  # fmt: skip
 
 TOSS_DEPTH = replace(
     TOSS_POSITION, name="toss_depth", title="deepest penetration", unit="mm",
     docs="largest depth of a corner below the table at any row of a toss",
-    method="deepest place of a corner below the table at any row of a toss", of_group=_of("depth", _MM),
+    method="deepest place of a corner below the table at any row of a toss", of_group=_mean_of("depth", _MM),
 )  # fmt: skip
 
 TOSS_LOCAL_POSITION = replace(

@@ -129,7 +129,7 @@ def validity_of(group: Group[Run]) -> Validity:
         buffers=tuple(_buffers(group.recordings)),
         overflow=_overflow(group.recordings),
         actions=tuple(_actions(group.complete)),
-        overflow_told=_told(group.complete),
+        overflow_told=_overflow_told(group.complete),
     )
 
 
@@ -181,7 +181,7 @@ def _overflow(runs: Sequence[Run]) -> tuple[OverflowSeen, ...] | None:
     return tuple(_seen(described.get(bit), seen[bit]) for bit in sorted(seen))
 
 
-def _told(runs: Sequence[Run]) -> Claim:
+def _overflow_told(runs: Sequence[Run]) -> Claim:
     telling = sum(bool(run.overflows) for run in runs)
     why_not = f"{telling} of {len(runs)} complete runs tell of their overflow" if runs else NOTHING_TOLD.why_not
     return every((True if run.overflows else None for run in runs), why_not)

@@ -82,7 +82,7 @@ class GroupKey:
 
     @cached_property
     def precisions(self) -> list[str]:
-        """Of the states; empty where the run ended before they were known."""
+        """Number types of the states; empty where the run ended before they were known."""
         return sorted({dtype for dtype, *_ in _parsed(self.layout).values()})
 
     def with_settings(self, **values: Any) -> GroupKey:

@@ -95,10 +95,10 @@ def notes(runs: Sequence[Run]) -> list[str]:
 def described(signs: Sequence[Sign]) -> str:
     """The signs of other processes, in words."""
     alike = gathered(((sign.processes, sign.by), sign) for sign in signs)
-    return "; ".join(map(_said, alike.values()))
+    return "; ".join(map(_signs_in_words, alike.values()))
 
 
-def _said(signs: Sequence[Sign]) -> str:
+def _signs_in_words(signs: Sequence[Sign]) -> str:
     first = signs[0]
     moments = ", ".join("timed steps" if sign.moment == TIMED else sign.moment for sign in signs)
     many = f"{first.processes} process{'es' if first.processes > 1 else ''}, " if first.processes else "about "

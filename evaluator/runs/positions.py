@@ -50,7 +50,7 @@ class Positions:
 
     @property
     def local(self) -> NDArray[np.float64]:
-        """In each env's own frame, float64 [m], [env, item, component]."""
+        """Positions in each env's own frame, float64 [m], [env, item, component]."""
         local = self.recorded.astype(np.float64)
         return local if self.origins is None else local - self.origins[:, None, :]
 

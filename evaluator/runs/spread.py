@@ -275,8 +275,8 @@ def _result(
         n_env=recording.configuration.n_env,
         steps=tuple(steps.tolist()),
         times=tuple(times.tolist()),
-        rms=_known(rms, finite),
-        largest=_known(largest, finite),
+        rms=_finite(rms, finite),
+        largest=_finite(largest, finite),
         not_finite_from=None if finite.all() else int(steps[np.argmin(finite)]),
         resolution=max(resolutions) if resolutions else None,
         fit=fit_growth(times, np.where(finite, largest, np.nan), limit=FIT_LIMIT_M),
@@ -296,5 +296,5 @@ def _of_those_on_board(boards: list[_OnBoard]) -> tuple[NDArray[np.float64], NDA
     return rms, np.max([one.largest for one in boards], axis=0)
 
 
-def _known(values: NDArray[np.float64], finite: NDArray[np.bool_]) -> tuple[float | None, ...]:
+def _finite(values: NDArray[np.float64], finite: NDArray[np.bool_]) -> tuple[float | None, ...]:
     return tuple(float(v) if good else None for v, good in zip(values, finite, strict=True))

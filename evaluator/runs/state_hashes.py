@@ -136,7 +136,7 @@ class ArrayHistory:
 
 
 def array_histories(recording: Recording) -> dict[str, ArrayHistory]:
-    """By name; empty where the program hashed no arrays."""
+    """Histories of arrays by name; empty where the program hashed no arrays."""
     return {name: _history(updates) for name, updates in recording.program.items()}
 
 

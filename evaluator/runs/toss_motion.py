@@ -99,7 +99,7 @@ def errors_of(recording: Recording, measured: MeasuredTosses, only: str = "") ->
     if isinstance(found, Missing):
         return found
     motion, tosses, _ = found
-    errors = toss_errors(motion, _of(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt)
+    errors = toss_errors(motion, _of_envs(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt)
     return replace(errors, numbers=tosses)
 
 
@@ -116,9 +116,9 @@ def local_errors_of(recording: Recording, measured: MeasuredTosses) -> LocalErro
     rows, counts = int(motion.rows[0]), measured.counts[tosses]
     if rows >= counts.max():
         return Missing(f"it is set after {rows} rows, and the longest toss has {counts.max()}")
-    if wrong := _wrongly_set(recording, _of(measured.motion, tosses), counts, envs, rows):
+    if wrong := _wrongly_set(recording, _of_envs(measured.motion, tosses), counts, envs, rows):
         return Missing(wrong)
-    return local_errors(motion, _of(measured.motion, tosses), counts, measured.cube, measured.dt, rows)
+    return local_errors(motion, _of_envs(measured.motion, tosses), counts, measured.cube, measured.dt, rows)
 
 
 def _wrongly_set(
@@ -199,7 +199,7 @@ def _simulated(
         return motion
     if not all(np.isfinite(getattr(motion, name)).all() for name in _PARTS):
         return Missing("its states are not all finite")
-    return _of(motion, envs), tosses, envs
+    return _of_envs(motion, envs), tosses, envs
 
 
 def _matched(begins: Motion, measured: MeasuredTosses) -> tuple[NDArray[np.int64], NDArray[np.int64]] | Missing:
@@ -228,7 +228,7 @@ def _upper(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(quaternion * np.sign(largest))
 
 
-def _of(motion: Motion, envs: NDArray[np.int64]) -> Motion:
+def _of_envs(motion: Motion, envs: NDArray[np.int64]) -> Motion:
     return Motion(
         motion.rows,
         motion.position[:, envs],

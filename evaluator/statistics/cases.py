@@ -168,7 +168,7 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
 
 
 def standard_error(cases: npt.NDArray[np.float64]) -> float | None:
-    """Of the mean of independent cases, shape [case]; 0 where they are equal, None with fewer than two."""
+    """The standard error of the mean of independent cases, shape [case]; 0 if all are equal, None of fewer than two."""
     # about the first case, since the mean of equal numbers rounds
     return float((cases - cases[0]).std(ddof=1) / np.sqrt(len(cases))) if len(cases) > 1 else None
 

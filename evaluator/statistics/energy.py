@@ -140,7 +140,7 @@ class _Counts:
         return np.bincount(self.classes[order[: self.n_a]], minlength=len(self._all)).astype(np.float64)
 
     def v_statistic(self, counts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Of deals [deal, class], shape [deal]."""
+        """The V-statistic of deals, counts [deal, class]; shape [deal]."""
         of_a = ((counts @ self._means) * counts).sum(axis=1)
         from_a = counts @ self._to_all
         between, of_b = from_a - of_a, self._total - 2 * from_a + of_a
@@ -148,7 +148,7 @@ class _Counts:
         return np.asarray(2 * between / (n * m) - of_a / n**2 - of_b / m**2)
 
     def u_statistic(self) -> float | None:
-        """Of the sides as they are."""
+        """The U-statistic of the sides as they are; None where a side has one environment."""
         n, m = self.n_a, self.n_b
         if n < 2 or m < 2:
             return None

@@ -24,7 +24,7 @@ MAX_POINTS = 2000
 
 @dataclass(frozen=True)
 class Variability:
-    """At one number of envs, in the unit of the points.
+    """The variability at one number of envs, in the unit of the points.
 
     run_to_run  mean W1 over pairs of runs, with the interval over runs; None with one run
     parallel    mean W1 over pairs of envs, mean over runs, with the interval over runs; None with one env

@@ -16,15 +16,15 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
     IEEE arithmetic as written: nothing is contracted or reordered, so that one input gives the same bits everywhere.
     """
-    return _made(function, {})
+    return _compile(function, {})
 
 
 def compiled_without_nan(function: Callable[P, R]) -> Callable[P, R]:
     """The same for numbers that are finite, so that minima may be taken in any order: sums still may not."""
-    return _made(function, {"fastmath": {"nnan", "ninf", "nsz"}})
+    return _compile(function, {"fastmath": {"nnan", "ninf", "nsz"}})
 
 
-def _made(function: Callable[P, R], more: dict[str, Any]) -> Callable[P, R]:
+def _compile(function: Callable[P, R], more: dict[str, Any]) -> Callable[P, R]:
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", **more}
     try:
         made = numba.njit(cache=True, **options)(function)

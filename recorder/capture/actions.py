@@ -12,7 +12,7 @@ from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.action_generator import GENERATOR, JointTargets, Streams, describe_generator, expect
-from gpusimbench.schemas.blocks import action_parts, generated_action
+from gpusimbench.schemas.block_parts import action_parts, generated_action
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.mcap.writer import Part

@@ -48,7 +48,7 @@ def hashed(tree: Any, name: str) -> Hashed:
     where the arrays are nested without an end.
     """
     try:
-        found = [_one(value, at) for at, value in leaves(tree, name)]
+        found = [_hash_value(value, at) for at, value in leaves(tree, name)]
     except RecursionError:
         raise UsageError(f"{name} is nested too deeply, or has itself as a member") from None
     if not found:
@@ -93,7 +93,7 @@ def checked_name(name: str) -> str:
     return name
 
 
-def _one(value: Any, name: str) -> tuple[str, int]:
+def _hash_value(value: Any, name: str) -> tuple[str, int]:
     if value is None or isinstance(value, str) or (type(value) is int and not _LEAST <= value <= _MOST):
         data = np.frombuffer(repr(value).encode(), dtype=np.uint8)
         return _described("text", data.shape, name), array_fingerprint(data)

@@ -15,7 +15,7 @@ from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.recorder.simulators.flight import AFTER, BEFORE, NEVER, FailureKind, Flight, Watch, step_and_kind
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import state_parts
+from gpusimbench.schemas.block_parts import state_parts
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.messages import enum_values, message_class
@@ -116,7 +116,7 @@ class FlightWriter:
         bits = flight.overflow(env, step)
         place = self._place(states, step - first, env, kind)
         if not self._first:
-            self._first = f"env {env} at step {step}: {self._said(kind, place, bits)}"
+            self._first = f"env {env} at step {step}: {self._failure_in_words(kind, place, bits)}"
             self._cause = _CAUSES[kind]
         where = {} if place is None else {
             "group": place.field.group, "field": place.field.field, "item": place.item, "component": place.component,
@@ -153,7 +153,7 @@ class FlightWriter:
                 return _Place(field, field.items[place[2]], field.components[place[3]], float(at[place]))
         raise ValueError(f"environment {env} was said to be {_WORDS[kind]}, and its state is not")
 
-    def _said(self, kind: FailureKind, place: _Place | None, bits: int) -> str:
+    def _failure_in_words(self, kind: FailureKind, place: _Place | None, bits: int) -> str:
         if place is None:
             names = [name for bit, name in self._bits.items() if bits >> bit & 1]
             return f"buffer overflow {', '.join(names)}: the engine dropped contacts or constraints"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.capture.ranges import Arrays, Ranges
 from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import fingerprint_parts, state_parts
+from gpusimbench.schemas.block_parts import fingerprint_parts, state_parts
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fields import StateField

@@ -19,7 +19,7 @@ from gpusimbench.recorder.capture.workers import Workers
 from gpusimbench.recorder.interruption import postponed, shielded
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import encode_fingerprints, little_endian
+from gpusimbench.schemas.block_parts import encode_fingerprints, little_endian
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import ALGORITHM, expect

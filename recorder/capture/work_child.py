@@ -27,7 +27,7 @@ from gpusimbench.recorder.capture.state_work import (
     pieces_of,
     places_of,
 )  # fmt: skip
-from gpusimbench.schemas.blocks import raw_bytes
+from gpusimbench.schemas.block_parts import raw_bytes
 from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest
 from gpusimbench.schemas.fingerprint import in_one_thread, load_compiled
@@ -205,7 +205,7 @@ class _Share:
                 except (BrokenPipeError, ConnectionResetError):
                     raise
                 except Exception as error:
-                    connection.send(_told(error))
+                    connection.send(_picklable(error))
 
     def _answers(self, order: Order) -> Iterator[Any]:
         stream = self._stream
@@ -332,7 +332,7 @@ def assembled(place: NextMessages, messages: Iterable[Message], log_time: int) -
     return assembly.records()
 
 
-def _told(error: Exception) -> Exception:
+def _picklable(error: Exception) -> Exception:
     # as the other process is sure to know it
     return error if isinstance(error, MemoryError) else RuntimeError(f"{error}")
 
@@ -351,5 +351,5 @@ def main() -> None:
         except (EOFError, BrokenPipeError, ConnectionResetError):
             raise
         except Exception as error:
-            connection.send(_told(error))
+            connection.send(_picklable(error))
     os._exit(0)  # at once: the other process waits, and nothing here is to be put in order

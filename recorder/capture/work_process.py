@@ -25,7 +25,7 @@ import numpy as np
 from gpusimbench.recorder.capture.state_work import Begun, Hashed, Message, Read, StateStream, Stored
 from gpusimbench.recorder.capture.work_child import Order, Shared, groups_of, messages_of
 from gpusimbench.recorder.interruption import blocked
-from gpusimbench.schemas.blocks import raw_bytes
+from gpusimbench.schemas.block_parts import raw_bytes
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.assembly import Part, Records
 

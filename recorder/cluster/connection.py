@@ -50,12 +50,12 @@ class Node:
 
     @property
     def cpus(self) -> int:
-        """That Ray may give away."""
+        """CPUs of the node that Ray may give away."""
         return int(self.resources.get("CPU", 0))
 
     @property
     def gpus(self) -> int:
-        """The same of GPUs."""
+        """GPUs of the node that Ray may give away."""
         return int(self.resources.get("GPU", 0))
 
 

@@ -57,7 +57,7 @@ class Code:
 
 
 def code() -> Code:
-    """What this process imports."""
+    """The version, commit and digest of the recorder that this process imports."""
     total = hashlib.sha256()
     for package in (recorder, schemas):
         root = Path(package.__path__[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -73,6 +74,26 @@ def parser() -> RecordParser:
 
 def _add_run(p: RecordParser) -> None:
     take = partial(p.take, p.add_argument_group("what is run"))
+    _add_scene(take)
+    _add_settings(take)
+    _add_states(take)
+    take(
+        "--determinism",
+        metavar="LEVEL",
+        help="determinism level of the engine; see --list NAME (default: default, the engine as it ships)",
+        simulated="default",
+    )
+    take(
+        "--timeout",
+        type=float,
+        metavar="S",
+        help="end each run after this time [s] (default: 0, never)",
+        simulated=0.0,
+        replayed=0.0,
+    )
+
+
+def _add_scene(take: Callable[..., None]) -> None:
     take("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
     take("--replay", type=Path, metavar="FILE", help="repeat the run of a recording")
     take("--scene", metavar="NAME", help=f"scene; see --list (default: {SCENE})", simulated=None, measured=SCENE)
@@ -107,6 +128,9 @@ def _add_run(p: RecordParser) -> None:
         "engine's parser",
         replayed=False,
     )
+
+
+def _add_settings(take: Callable[..., None]) -> None:
     take(
         "--n-env",
         type=int,
@@ -161,6 +185,9 @@ def _add_run(p: RecordParser) -> None:
         "(default: nothing was fitted)",
         simulated=(),
     )
+
+
+def _add_states(take: Callable[..., None]) -> None:
     take(
         "--initial",
         metavar="random:SPREAD|FILE",
@@ -203,20 +230,6 @@ def _add_run(p: RecordParser) -> None:
         metavar="STEP",
         help="with --replay: begin at the recording's snapshot of this step, and capture the rest",
         replayed=None,
-    )
-    take(
-        "--determinism",
-        metavar="LEVEL",
-        help="determinism level of the engine; see --list NAME (default: default, the engine as it ships)",
-        simulated="default",
-    )
-    take(
-        "--timeout",
-        type=float,
-        metavar="S",
-        help="end each run after this time [s] (default: 0, never)",
-        simulated=0.0,
-        replayed=0.0,
     )
 
 

@@ -209,7 +209,7 @@ def list_one(name: str) -> Json:
 
 
 def lines_of(known: Json) -> list[str]:
-    """The same for people."""
+    """What `list_one` tells, as lines for people."""
     return _lines_of_scene(known["scene"]) if "scene" in known else _lines_of_simulator(known["simulator"])
 
 

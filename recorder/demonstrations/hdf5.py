@@ -51,7 +51,7 @@ def opened(path: Path) -> DataSet | None:
 
 
 def _name(file: Path) -> str:
-    """Of a file, or of the folder in which a Minari file lies."""
+    """The name of a file, or of the folder in which a Minari file lies."""
     if file.name != MINARI_FILE:
         return file.stem
     folders = [one for one in file.resolve().parents if one.name != "data"]
@@ -92,7 +92,7 @@ def read(path: Path, most: int | None = None) -> list[Demonstration]:
 
 
 def _of_group(path: Path, group: Any) -> Demonstration:
-    """Of a Minari episode."""
+    """The demonstration of a Minari episode."""
     rewards = read_array(path, group, "rewards")
     flags = [read_array(path, group, name) for name in ("terminations", "truncations")]
     physics = {}
@@ -113,7 +113,7 @@ def _of_group(path: Path, group: Any) -> Demonstration:
 
 
 def _seed(path: Path, group: Any) -> int | None:
-    """Of the reset that began a Minari episode."""
+    """The seed of the reset that began a Minari episode."""
     seed = group.attrs.get("seed")
     if seed is None:
         return None

@@ -160,7 +160,7 @@ def _numbers(path: Path, series: Any, shape: tuple[int, ...], n: int) -> NDArray
     return array.reshape(n, *shape)
 
 
-def _named(observations: Arrays, space: Any) -> Arrays:
+def _by_usual_names(observations: Arrays, space: Any) -> Arrays:
     keys = getattr(space, "spaces", {})
     if not keys and len(observations) == 1:
         return {"observation": next(iter(observations.values()))}
@@ -180,7 +180,7 @@ def _episode(path: Path, number: int, arrays: Arrays, space: Any) -> Demonstrati
         raise DamagedRecording(f"{path}: the seed of episode {number} is no integer of at least 0")
     whole = all(name in arrays for name in _PHYSICS)
     return Demonstration(
-        observations=_named(observations, space),
+        observations=_by_usual_names(observations, space),
         actions=actions,
         rewards=one.get(_REWARD, np.zeros(n)),
         rewarded=_REWARD in one,

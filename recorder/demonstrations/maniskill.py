@@ -123,7 +123,7 @@ def _episode(file: Path, groups: Any, told: Mapping[str, Any]) -> Demonstration:
 
 
 def _seed(file: Path, name: str, told: Mapping[str, Any]) -> int | None:
-    """That was given to the reset, or else that which ManiSkill drew for the episode."""
+    """The seed that was given to the reset, or else the seed that ManiSkill drew for the episode."""
     reset = told.get("reset_kwargs") or {}
     if not isinstance(reset, dict):
         raise DamagedRecording(f"{file}: {name} has no keywords of its reset")

@@ -35,7 +35,7 @@ def opened(path: Path) -> DataSet | None:
         if not is_group(file, _DATA) or not {"env_args", "env_info"} & set(file[_DATA].attrs):
             return None
         check_texts(path)
-        told = _told(path, file[_DATA].attrs)
+        told = _environment(path, file[_DATA].attrs)
     return DataSet(
         path=path,
         name=path.stem,
@@ -47,7 +47,7 @@ def opened(path: Path) -> DataSet | None:
     )
 
 
-def _told(path: Path, attributes: Mapping[str, Any]) -> dict[str, Any]:
+def _environment(path: Path, attributes: Mapping[str, Any]) -> dict[str, Any]:
     """What the file says of its environment, in robomimic's words."""
     given = "env_args" in attributes
     try:

@@ -59,7 +59,7 @@ class Interpreter:
         return self.python == Path(sys.executable)
 
     def version(self) -> tuple[int, int, int]:
-        """Of Python. UsageError where it does not run."""
+        """The version of Python. UsageError where it does not run."""
         return _probe(self.python, ())[0]
 
     def missing(self, names: Iterable[str]) -> tuple[str, ...]:

@@ -58,7 +58,7 @@ def set_up(simulator: str, python: Path | None = None) -> Prepared:
     specification = specification_of(simulator)
     with _alone(simulator):
         there = find(simulator)
-        if there and there.current and python is None and _whole(there):
+        if there and there.current and python is None and _has_all_packages(there):
             return there
         base = _base(specification, python)
         folder = folder_of(simulator)
@@ -67,7 +67,7 @@ def set_up(simulator: str, python: Path | None = None) -> Prepared:
     return made
 
 
-def _whole(there: Prepared) -> bool:
+def _has_all_packages(there: Prepared) -> bool:
     # an upgrade of the Python that it is of, or a hand, may have taken something away
     try:
         return not Interpreter(there.interpreter).missing((*RECORDING, *find_simulator(there.simulator).requires))

@@ -42,7 +42,7 @@ class Specification:
         return FOLDER / f"{self.simulator}.txt"
 
     def sha256(self) -> str:
-        """Of all that says what is installed [hex]."""
+        """The digest of all that says what is installed [hex]."""
         text = "\n".join((*self.beforehand, self.requirements.read_text()))
         return hashlib.sha256(text.encode()).hexdigest()
 

@@ -51,19 +51,19 @@ def package_list() -> str:
     """Every installed distribution, one "name==version" a line; of several versions of one, that which is imported."""
     versions: dict[str, str | None] = {}
     for found in metadata.distributions():  # in the order in which Python looks for modules
-        name, version = _named(found)
+        name, version = _name_and_version(found)
         versions.setdefault(name, version)
     return "".join(f"{name}=={versions[name]}\n" for name in sorted(versions, key=lambda n: (n.lower(), n)))
 
 
 def _version(distribution: str) -> str | None:
     try:
-        return _named(metadata.distribution(distribution))[1]
+        return _name_and_version(metadata.distribution(distribution))[1]
     except metadata.PackageNotFoundError:
         return None
 
 
-def _named(found: metadata.Distribution) -> tuple[str, str | None]:
+def _name_and_version(found: metadata.Distribution) -> tuple[str, str | None]:
     # importlib.metadata parses the description, too, a page of each package: half of the time of a short run
     try:
         text = found.read_text("METADATA") or found.read_text("PKG-INFO")

@@ -143,7 +143,7 @@ def _launch(
                 "provenance": planned.provenance.to_json(),
                 "path": str(path.absolute()),
                 "scratch": str(scratch),
-                "inputs": _kept(scratch, planned.inputs),
+                "inputs": _write_inputs(scratch, planned.inputs),
             }
             with _started(task, scratch, printed, interpreter) as (child, reports):
                 interruptions.follow(child, scratch / MARK)
@@ -156,7 +156,7 @@ def _launch(
     return _result(configuration, path, left, end, said, interrupted=interruptions.count > 0)
 
 
-def _kept(scratch: Path, inputs: Mapping[str, bytes]) -> str | None:
+def _write_inputs(scratch: Path, inputs: Mapping[str, bytes]) -> str | None:
     # in a folder of their own: the files of the scratch folder are the engine's log
     if not inputs:
         return None
@@ -333,7 +333,7 @@ def _result(
 
 
 def how_it_died(returncode: int) -> str:
-    """In words, what a return code of subprocess.Popen says."""
+    """What a return code of subprocess.Popen says, in words."""
     if returncode >= 0:
         return f"ended with exit code {returncode}"
     try:

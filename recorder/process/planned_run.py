@@ -32,7 +32,7 @@ class PlannedRun:
 
     @property
     def configuration(self) -> RunConfiguration:
-        """What is asked."""
+        """The configuration that is asked of the run."""
         return self.provenance.configuration
 
     def to_json(self) -> dict[str, Any]:
@@ -46,7 +46,7 @@ class PlannedRun:
 
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> PlannedRun:
-        """From what to_json gave."""
+        """The run of what to_json gave."""
         return cls(
             Provenance.from_json(record["provenance"]),
             record["end_killed"],

@@ -150,8 +150,8 @@ def run_program(
         reason=reason,
         seconds=time.monotonic() - begun,
         peaks_bytes=memory.peaks,
-        recordings=_found(folder, ".mcap"),
-        partial=_found(folder, PARTIAL),
+        recordings=_files_with(folder, ".mcap"),
+        partial=_files_with(folder, PARTIAL),
     )
 
 
@@ -196,7 +196,7 @@ def _end(returncode: int, late: bool, interrupted: bool, time_limit: float, fold
     return "failed", how_it_died(returncode) + (f"; the last that it printed: {said}" if said else "")
 
 
-def _found(folder: Path, ending: str) -> tuple[str, ...]:
+def _files_with(folder: Path, ending: str) -> tuple[str, ...]:
     return tuple(sorted(str(path) for path in folder.rglob(f"*{ending}") if path.is_file()))
 
 

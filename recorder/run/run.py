@@ -180,7 +180,7 @@ class Run:
         struck = interruption.struck() or ("INTERRUPTED" if self._interrupted() else "")
         if not struck:
             return None
-        made = "" if isinstance(error, KeyboardInterrupt) else f"; what followed: {_said(error)}"
+        made = "" if isinstance(error, KeyboardInterrupt) else f"; what followed: {_error_in_words(error)}"
         if struck == "TIMEOUT":
             return TimedOut(f"timeout: more than {self._configuration.timeout:g} s, in phase {phase}{made}")
         return Interrupted(f"interrupted in phase {phase}{made}")
@@ -325,10 +325,10 @@ def _reason(error: BaseException, phase: str) -> str:
             return f"out of host memory in phase {phase}"
         case GsbError():
             return str(error)
-    return _said(error, f" in phase {phase}")
+    return _error_in_words(error, f" in phase {phase}")
 
 
-def _said(error: BaseException, where: str = "") -> str:
+def _error_in_words(error: BaseException, where: str = "") -> str:
     text = " ".join(str(error).split()) or "no message"
     return f"{type(error).__name__}{where}: {text}"
 

@@ -13,7 +13,7 @@ from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Inertial, Link,
 
 @dataclass(frozen=True)
 class Factors:
-    """Of one quantity.
+    """The factors of one quantity.
 
     items   names of what it is of, as `varied_items` gives them
     values  by which the scene's parameters are multiplied, shape [env, item]

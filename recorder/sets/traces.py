@@ -41,7 +41,7 @@ def check_traces(container: Container, c: RunConfiguration, fields: Fields) -> N
     """UsageError where a recording asks for more environments or steps than it has traces of."""
     asked = []
     if "capture" in c.phases:
-        asked += _kept(container, c) if c.keep else _captured(container, c, fields)
+        asked += _of_failing(container, c) if c.keep else _captured(container, c, fields)
     if "timed" in c.phases:
         asked += [(f"{phase} steps", n, _clocked(container, phase)) for phase, n in _timed(c)]
         asked.append(("timed environments", c.n_env, _hashes(container, "timed") // _TIMED_ROWS))
@@ -63,7 +63,7 @@ def _captured(container: Container, c: RunConfiguration, fields: Fields) -> list
     return asked
 
 
-def _kept(container: Container, c: RunConfiguration) -> list[tuple[str, int, int]]:
+def _of_failing(container: Container, c: RunConfiguration) -> list[tuple[str, int, int]]:
     # where failing environments alone are kept, all that is left of the others is hashes and clocks
     environments = _hashes(container, "capture") // _KEPT_ROWS
     return [

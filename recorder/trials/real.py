@@ -28,7 +28,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.trials.tosses import VARIABLE, read_tosses
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.blocks import state_parts
+from gpusimbench.schemas.block_parts import state_parts
 from gpusimbench.schemas.configuration import RunConfiguration, sim_time_ns
 from gpusimbench.schemas.errors import DataLost, UsageError
 from gpusimbench.schemas.fields import FIELD_KINDS, StateField, body_fields

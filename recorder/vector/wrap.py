@@ -96,7 +96,7 @@ def wrap(
 
         told = given_or(dt, of_states.step_of(envs))
         return RecordedFunctional(envs, path, steps=steps, dt=told, infos=names, physics=physics, images=how)
-    told = given_or(dt, next(_told(envs), None))
+    told = given_or(dt, next(_periods(envs), None))
     if tensors.has_tensors(envs):
         if physics:
             raise UsageError("physics is recorded of MuJoCo's environments, not of those with tensors of torch")
@@ -115,7 +115,7 @@ def wrap(
 
 def step_of(envs: Any) -> float:
     """Simulated time of a step of a vector environment [s]; UsageError where it does not say."""
-    return given_or(None, next(_told(envs), None))
+    return given_or(None, next(_periods(envs), None))
 
 
 def given_or(dt: float | None, told: float | None) -> float:
@@ -147,7 +147,7 @@ def _is_vec_env(envs: Any) -> bool:
     return module is not None and isinstance(envs, module.VecEnv)
 
 
-def _told(envs: Any) -> Iterator[float]:
+def _periods(envs: Any) -> Iterator[float]:
     # of the vector, and of its first environment where that lives in this process
     whole = getattr(envs, "unwrapped", envs)
     for env in (whole, *(one.unwrapped for one in getattr(whole, "envs", ())[:1])):

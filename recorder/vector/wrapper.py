@@ -98,7 +98,7 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             self._recording(lambda: self._end(None))
         if self._ended:
             return self.env.step(actions)
-        given = self._given(actions)  # before the environment may change them
+        given = self._action_row(actions)  # before the environment may change them
         try:
             if self._log is None:
                 self._begin(given)
@@ -144,7 +144,7 @@ class Recorded(Ending, gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         seen = self._seen(_arrays(observation, "observation", copy=False))
         self._put(self._filled - 1, {**seen, **self._states(), **self._counts()})
 
-    def _given(self, actions: Any) -> Row:
+    def _action_row(self, actions: Any) -> Row:
         if isinstance(actions, (list, tuple)) and not isinstance(self.action_space, gymnasium.spaces.Tuple):
             try:
                 actions = np.array(actions)  # one for each environment

@@ -68,7 +68,7 @@ class Parser(argparse.ArgumentParser):
         """See ArgumentParser.parse_args."""
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:
-            known = [name for parser in self._asked(found) for name in parser._option_string_actions]
+            known = [name for parser in self._parsers(found) for name in parser._option_string_actions]
             written = [text.partition("=")[0] for text in unknown if text.startswith("--")]
             hint = next(filter(None, (did_you_mean(name, known) for name in written)), "")
             self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
@@ -90,7 +90,7 @@ class Parser(argparse.ArgumentParser):
             return []
         return [action for action in self._actions if action.option_strings and action not in self._first]
 
-    def _asked(self, found: argparse.Namespace) -> Iterator[argparse.ArgumentParser]:
+    def _parsers(self, found: argparse.Namespace) -> Iterator[argparse.ArgumentParser]:
         # this parser, and that of the verb that was given
         yield self
         for action in self._actions:

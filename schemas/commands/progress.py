@@ -56,7 +56,7 @@ class Stage:
         self._inside += weight
 
     def share(self) -> float:
-        """Of the whole work, done; 0 where nobody knows."""
+        """The share of the whole work that is done; 0 where nobody knows."""
         weight = self._weights[self.done] if self.done < len(self._weights) else 0.0
         whole = sum(self._weights)
         return (self._passed + min(self._inside, weight)) / whole if whole else 0.0
@@ -171,7 +171,7 @@ class Progress(Ticker):
     """
 
     def __init__(self, command: str, *, live: bool | None = None, clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__(self._said, live=live, clock=clock)
+        super().__init__(self._line, live=live, clock=clock)
         self._command = command
         self.stages: list[Stage] = []
 
@@ -197,7 +197,7 @@ class Progress(Ticker):
             self.stages.remove(made)
             self.erase()
 
-    def _said(self, now: float) -> str:
+    def _line(self, now: float) -> str:
         stages = self.stages[-1:]
         return f"{self._command}: {stages[0].words(now)}" if stages else ""
 

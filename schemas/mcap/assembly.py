@@ -229,10 +229,10 @@ class Assembly(Assembler):
     """Records of messages that McapWriter.append adds to a file."""
 
     def _hand_over(self) -> None:
-        """All is kept."""
+        """Keep all records."""
 
     def records(self) -> Records:
-        """All messages that were added."""
+        """The records of all messages that were added."""
         self.flush()
         begin = self._offset - self._queued
         return Records(begin, self._queued, self._queue, self._crc, self._chunk_indexes, self._counts, self._times)

@@ -174,7 +174,7 @@ class Contents:
         return bool(self.index) and len(self.index[chunk].channels) == self.index[chunk].messages == 1
 
     def sole_offset(self, data: memoryview) -> int:
-        """Of the only message of a chunk, behind what declares its channel; it has to be the last record."""
+        """Where the only message of a chunk begins, behind what declares its channel; it has to be the last record."""
         for record in split(data):
             if record.opcode not in (Op.SCHEMA, Op.CHANNEL):
                 if record.end == len(data):

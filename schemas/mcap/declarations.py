@@ -52,7 +52,7 @@ class NewDeclarations:
                 f"{self._place}: a channel takes {size} bytes to declare; at most {MAX_CHANNEL_BYTES} are read of one"
             )
         self._bytes += size
-        found = self._said(record)
+        found = self._parse(record)
         self._texts += len(found.metadata) if isinstance(found, ChannelRecord) else 0
         if self._bytes > MAX_DECLARED_BYTES or self._texts > MAX_DECLARED_TEXTS:
             raise TooMuch(
@@ -62,7 +62,7 @@ class NewDeclarations:
         self._taken.add(key)
         return found
 
-    def _said(self, record: Record) -> Schema | ChannelRecord:
+    def _parse(self, record: Record) -> Schema | ChannelRecord:
         if len(record.content) <= _REMEMBERED_BYTES:
             with suppress(DamagedRecording):  # which has to name the file
                 return _remembered(record.opcode, bytes(record.content))

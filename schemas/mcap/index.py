@@ -135,7 +135,7 @@ class _Summary:
             raise damaged(self._place, f"a record at byte {end} is shorter than it says")
         self._chunks.sort(key=lambda c: c.chunk.record)
         self._check_places()
-        if self._counts != self._found() or not self._declared.whole:
+        if self._counts != self._counted() or not self._declared.whole:
             return None
         return Index(self._data_end, data_crc, self._declared, tuple(self._chunks), tuple(self._attachments))
 
@@ -154,7 +154,7 @@ class _Summary:
             said = parse(Statistics, cursor)
             self._counts = said.messages, said.channels, said.attachments, said.chunks
 
-    def _found(self) -> tuple[int, int, int, int]:
+    def _counted(self) -> tuple[int, int, int, int]:
         # Messages outside of chunks are in no index, so the numbers have to agree; where chunks have no index of their
         # messages, these are counted by nobody.
         indexed = all(c.channels or not c.chunk.uncompressed_size for c in self._chunks)

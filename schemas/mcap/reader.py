@@ -64,7 +64,7 @@ class Container:
 
     @property
     def channels(self) -> dict[str, Channel]:
-        """By topic, in order of appearance."""
+        """The channels by topic, in order of appearance."""
         return self._contents.declared.channels
 
     def messages(self, topic: str) -> list[Message]:
@@ -90,11 +90,11 @@ class Container:
         return sequence, content, second(crc, zlib.crc32(data[:before]), len(content))
 
     def chunk_bytes(self, message: Message) -> int:
-        """Of the chunk that a message is in, decompressed; of the message's head where it is in none."""
+        """Bytes of the chunk that a message is in, decompressed; of the message's head where it is in none."""
         return self._chunks[message.chunk].uncompressed_size if message.chunk >= 0 else RECORD_HEAD
 
     def stored_bytes(self, topic: str) -> int:
-        """Of the contents of a topic's messages, at most; those that the index tells the size of are not read."""
+        """Bytes of a topic's messages, at most; messages that the index tells the size of are not read."""
         return sum(
             self._chunks[m.chunk].uncompressed_size - RECORD_HEAD - MESSAGE_HEAD.size
             if m.chunk >= 0 and self._contents.sole(m.chunk)
@@ -196,7 +196,7 @@ class Container:
 
     @property
     def size(self) -> int:
-        """Of the file [byte], as it was when it was opened."""
+        """The size of the file [byte], as it was when it was opened."""
         return self.source.size
 
     @property

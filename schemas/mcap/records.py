@@ -63,7 +63,7 @@ class Cursor:
 
     @property
     def at(self) -> int:
-        """Of the next field, in the file or chunk."""
+        """The place of the next field, in the file or chunk."""
         return self._base + self.position
 
     @property
@@ -140,7 +140,7 @@ class Record(NamedTuple):
 
     @property
     def length(self) -> int:
-        """With opcode and length [byte]."""
+        """The length of the record, with its opcode and its length field [byte]."""
         return RECORD_HEAD + len(self.content)
 
     def cursor(self, place: Place) -> Cursor:
@@ -148,14 +148,14 @@ class Record(NamedTuple):
         return Cursor(place, self.content, 0, len(self.content), self.begin + RECORD_HEAD)
 
     def message(self, place: Place) -> tuple[int, int, int, memoryview]:
-        """Of a message: channel, sequence, log time [ns] and content."""
+        """The parts of a message: channel, sequence, log time [ns] and content."""
         if len(self.content) < MESSAGE_HEAD.size:
             raise DamagedRecording(f"{place}: a message at byte {self.begin} is shorter than its own head")
         channel, sequence, log_time, _ = MESSAGE_HEAD.unpack_from(self.content)
         return channel, sequence, log_time, self.content[MESSAGE_HEAD.size :]
 
     def message_index(self, place: Place) -> tuple[int, memoryview]:
-        """Of a message index: channel, and its entries, each an INDEX_ENTRY."""
+        """The parts of a message index: channel, and its entries, each an INDEX_ENTRY."""
         cursor = self.cursor(place)
         channel = cursor.u16()
         entries = cursor.take(cursor.u32())

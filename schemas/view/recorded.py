@@ -66,7 +66,7 @@ class EnvView:
 
     @property
     def name(self) -> str:
-        """Of its frame, and the beginning of others."""
+        """The name of its frame, and the beginning of the names of others."""
         return f"env{self.number}"
 
     def entities(self) -> list[Any]:
@@ -177,7 +177,7 @@ class RecordedView:
         return self._shown.motion.fields
 
     def scene(self) -> ViewMessage:
-        """What things look like, once."""
+        """The message with the shapes and colours of all bodies."""
         update = message_class("foxglove.SceneUpdate")(entities=self._shown.entities())
         return ViewMessage(self._scene, EPOCH_NS, update)
 

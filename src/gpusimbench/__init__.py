@@ -31,7 +31,7 @@ from gpusimbench.schemas.location import place
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from gpusimbench.evaluator.compare.compare import Result
+    from gpusimbench.evaluator.compare.result import Result
     from gpusimbench.evaluator.diff.result import Difference
     from gpusimbench.evaluator.read.recording import Recording
     from gpusimbench.evaluator.results.evaluation import Evaluation

@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 from gpusimbench.recorder.capture import state_work
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.schemas.blocks import encode_fingerprints
+from gpusimbench.schemas.block_parts import encode_fingerprints
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PACKAGES, PROVENANCE, SCENE

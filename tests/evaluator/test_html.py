@@ -40,10 +40,10 @@ from gpusimbench.evaluator.results.details import (
 )
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.results.group_runs import Reference
 from gpusimbench.evaluator.results.metric import Estimate, missing
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import Comparison, Contender
+from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import Cloud, GroupResult, Map
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import DamagedRecording, GsbError

@@ -15,7 +15,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture import state_work
 from gpusimbench.recorder.capture.sink import Sink
-from gpusimbench.schemas.blocks import fingerprint_parts
+from gpusimbench.schemas.block_parts import fingerprint_parts
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.writer import Part

@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Shape, Sphere, solid_inertia
-from gpusimbench.recorder.scenes.emit.usd import emit_usd, identifiers
+from gpusimbench.recorder.scenes.emit.usd import emit_usd
+from gpusimbench.recorder.scenes.emit.usd_prim import identifiers
 from gpusimbench.recorder.scenes.franka import PANDA
 from gpusimbench.recorder.scenes.registry import SCENES, make_scene
 from gpusimbench.recorder.simulators.physx.model import Model

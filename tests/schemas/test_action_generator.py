@@ -22,7 +22,8 @@ from gpusimbench.schemas.action_generator import (
     describe_generator,
     read_generator,
 )
-from gpusimbench.schemas.blocks import action_parts, decode_action, decode_state, generated_action, raw_action
+from gpusimbench.schemas.block_parts import action_parts, generated_action
+from gpusimbench.schemas.blocks import decode_action, decode_state, raw_action
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.mixing import GOLDEN32

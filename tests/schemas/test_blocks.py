@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gpusimbench.schemas import wire
+from gpusimbench.schemas.block_parts import encode_fingerprints
 from gpusimbench.schemas.blocks import (
     STATE_HEAD_BYTES,
     decode_action,
     decode_fingerprints,
     decode_state,
-    encode_fingerprints,
     pack_state,
     state_bytes,
     state_header,

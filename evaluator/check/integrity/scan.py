@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gpusimbench.evaluator.check.integrity.message_indexes import MessageIndexes
 from gpusimbench.evaluator.check.integrity.problem import Kind, Problems, without_path
 from gpusimbench.evaluator.read.actions import described_generator
 from gpusimbench.schemas import topics
@@ -137,7 +137,7 @@ class _Scanner:
         self._found = Scan(source.size)
         self._walk = Walk(source, lambda fault, what: problems.add(Kind[fault], what))
         self._new = NewDeclarations(source.place)
-        self._chunk: _ChunkPlace | None = None  # that message indexes belong to
+        self._chunk: MessageIndexes | None = None  # that message indexes belong to
         self._messages = 0
         self._contents: dict[str, list[memoryview]] = {}  # by topic, that their digest has not taken yet
 
@@ -266,7 +266,7 @@ class _Scanner:
         data = self._walk.open(record, head, self._held)
         if data is None:
             return
-        self._chunk = place = _ChunkPlace(entry)
+        self._chunk = place = MessageIndexes(entry)
         for inner in self._walk.within(data, record.begin):
             try:
                 if inner.opcode != Op.MESSAGE:
@@ -344,49 +344,3 @@ class _Scanner:
         if len(there) and (missing := int(there[-1]) + 1 - len(there)):
             first = int(np.argmax(there != np.arange(len(there)))) if there[-1] != len(there) - 1 else len(there)
             self._problems.add(Kind.sequence, f"{missing} messages of {topic} are missing, the first is {first}")
-
-
-class _ChunkPlace:
-    """One chunk: where its messages are, and where the message indexes behind it say that they are.
-
-    entry  what the summary has to say of it, but for the message indexes
-    """
-
-    def __init__(self, entry: ChunkIndex) -> None:
-        self.entry = entry
-        self._there: dict[int, array[int]] = {}  # by channel: time and place of each message, flat
-        self._indexed: dict[int, array[int]] = {}
-        self._index_bytes = 0
-
-    def add_message(self, channel: int, log_time: int, position: int) -> None:
-        """A message of the chunk, and where in it that begins."""
-        self._there.setdefault(channel, array("Q")).extend((log_time, position))
-
-    def add_index(self, record: Record, channel: int, entries: memoryview) -> None:
-        """A message index that follows the chunk."""
-        self._indexed.setdefault(channel, array("Q")).frombytes(entries)
-        self.entry.places[channel] = record.begin
-        self._index_bytes += record.length
-
-    def check(self, problems: Problems) -> ChunkIndex:
-        """Compare messages and indexes, a chunk without any index being whole; returns the entry of the summary."""
-        begin = self.entry.start
-        times = [np.frombuffer(found, np.uint64)[::2] for found in self._there.values()]
-        first, last = (int(pick([pick(part) for part in times])) if times else 0 for pick in (np.min, np.max))
-        if times and (first, last) != (self.entry.first_time, self.entry.last_time):
-            problems.add(Kind.index, f"the chunk at byte {begin} says other times than its messages")
-        wrong = [
-            channel
-            for channel in self._indexed.keys() | self._there.keys()
-            if not np.array_equal(_sorted(self._indexed.get(channel)), _sorted(self._there.get(channel)))
-        ]
-        if self._indexed and wrong:
-            channels = ", ".join(map(str, sorted(wrong)[:_SHOWN]))
-            problems.add(Kind.index, f"behind the chunk at byte {begin}, for channel {channels}")
-        return self.entry._replace(index_bytes=self._index_bytes)
-
-
-def _sorted(flat: array[int] | None) -> NDArray[np.uint64]:
-    # pairs in order, shape [message, 2]
-    pairs = np.frombuffer(flat, np.uint64).reshape(-1, 2) if flat else np.empty((0, 2), np.uint64)
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]

@@ -113,7 +113,7 @@ class _Check:
             if count > len(rows) or (self._ended and count < len(rows)):
                 self._add(f"{topic} has {count} messages, and the states are of {len(rows)} such times")
         shown = max(len(self._container.messages(topic)) for topic in others)
-        for wanted in _made(view, rows[:shown], arrays, first):
+        for wanted in _expected(view, rows[:shown], arrays, first):
             self._compare(wanted, next(expected[wanted.topic], None))
 
     def _compare(self, wanted: ViewMessage, found: tuple[int, int, memoryview] | None) -> None:
@@ -153,7 +153,7 @@ class _Check:
         self._problems.add(Kind.view, what)
 
 
-def _made(view: RecordedView, rows: range, arrays: Sequence[StateArray], first: int) -> Iterator[ViewMessage]:
+def _expected(view: RecordedView, rows: range, arrays: Sequence[StateArray], first: int) -> Iterator[ViewMessage]:
     # of some rows at a time, so that neither states nor messages of a long run are held; `first` is the row that row 0
     # would be if the recording began at step 0
     size = max(1, _BLOCK_ROWS // rows.step)

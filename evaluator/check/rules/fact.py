@@ -53,7 +53,7 @@ class Fact:
 
     @property
     def unit(self) -> str:
-        """Of a number, as its meaning has it; empty where it has none."""
+        """The unit of a number, as its meaning has it; empty where it has none."""
         found = re.search(r"\[([^\]]+)\]$", self.meaning)
         return found[1] if found and self.type is FactType.number else ""
 
@@ -82,7 +82,7 @@ def provenance_of(file: Integrity) -> Provenance:
 
 
 def configuration_of(file: Integrity) -> RunConfiguration:
-    """What was asked of the run."""
+    """The configuration that was asked of the run."""
     return provenance_of(file).configuration
 
 

@@ -130,7 +130,7 @@ def _engine(file: Integrity) -> dict[str, Any]:
     }
 
 
-def _asked(file: Integrity) -> dict[str, Any]:
+def _asked_of_the_set(file: Integrity) -> dict[str, Any]:
     of_the_run = ("run_index", "view")
     return {name: value for name, value in configuration_of(file).to_json().items() if name not in of_the_run}
 
@@ -190,7 +190,7 @@ FACTS: dict[str, Fact] = {
         FactType.list, "phases that were asked for: timed, capture", lambda f: tuple(configuration_of(f).phases)
     ),
     "phases": Fact(FactType.list, "phases that began and ended", _phases),
-    "asked": Fact(FactType.object, "all that was asked of the run but its number", _asked),
+    "asked": Fact(FactType.object, "all that was asked of the run but its number", _asked_of_the_set),
     "status": Fact(FactType.text, "complete, failed, invalid or incomplete", lambda f: described_of(f).status),
     "complete": Fact(FactType.flag, "the run is complete and no data was lost", lambda f: described_of(f).usable),
     "run_id": Fact(FactType.text, "unique name of the run", lambda f: provenance_of(f).run_id),

@@ -121,7 +121,7 @@ def _ask(rule: Rule, file: Integrity) -> tuple[str | Unknown, ...] | None:
     if isinstance(value, Unknown):
         return (value,)
     try:
-        found = FILE_PREDICATES[rule.predicate].found(value, rule.argument, lambda name: _known(fact_of(name, file)))
+        found = FILE_PREDICATES[rule.predicate].found(value, rule.argument, lambda name: _required(fact_of(name, file)))
         unit = FACTS[rule.fact].unit
         return tuple(f"{said} {unit}" for said in found) if unit else found
     except _NotKnown as error:
@@ -132,7 +132,7 @@ class _NotKnown(Exception):
     pass
 
 
-def _known(value: Any) -> Any:
+def _required(value: Any) -> Any:
     if isinstance(value, Unknown):
         raise _NotKnown(value.reason)
     return value

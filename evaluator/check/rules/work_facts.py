@@ -102,7 +102,7 @@ def _timed_seconds(file: Integrity) -> float:
     return timing.elapsed_s
 
 
-def _known(value: float | None, otherwise: str) -> float:
+def _required(value: float | None, otherwise: str) -> float:
     if value is None:
         raise NotThere(otherwise)
     return value
@@ -138,7 +138,7 @@ WORK_FACTS: dict[str, Fact] = {
     "timed_contacts": Fact(
         FactType.number,
         "contacts of an environment at the last timed step, on average",
-        lambda f: _known(contacts(recording_of(f)), "contacts are not counted"),
+        lambda f: _required(contacts(recording_of(f)), "contacts are not counted"),
     ),
     "timed_state_changes": Fact(
         FactType.flag,
@@ -159,17 +159,19 @@ WORK_FACTS: dict[str, Fact] = {
         FactType.number,
         "joints and bodies of an environment that move, on average, at the beginning or the end of the timed phase, "
         "whichever is less",
-        lambda f: _known(moving(recording_of(f)), "what moves is not counted"),
+        lambda f: _required(moving(recording_of(f)), "what moves is not counted"),
     ),
     "timed_unsampled_s": Fact(
         FactType.number,
         "longest time of the timed phase without a reading of the clocks of what the simulator steps on [s]",
-        lambda f: _known(hardware.longest_gap_s(recording_of(f)), "the timed phase has no clocks"),
+        lambda f: _required(hardware.longest_gap_s(recording_of(f)), "the timed phase has no clocks"),
     ),
     "timed_throttled_share": Fact(
         FactType.number,
         "share of the timed phase's readings in which heat or power held the GPU's clocks down",
-        lambda f: _known(hardware.timed_throttled_share(recording_of(f)), "no reading tells why clocks are not higher"),
+        lambda f: _required(
+            hardware.timed_throttled_share(recording_of(f)), "no reading tells why clocks are not higher"
+        ),
     ),
     "given_start": Fact(
         FactType.flag,

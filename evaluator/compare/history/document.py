@@ -1,19 +1,15 @@
-"""A history as a document: verdict and changes, then a curve for each quantity of each configuration; and as JSON."""
+"""A history as a document: verdict and changes, then a curve for each quantity of each configuration."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from markupsafe import Markup
 
 from gpusimbench.evaluator.compare.finding import FAILING, Change
 from gpusimbench.evaluator.compare.history import words
 from gpusimbench.evaluator.compare.history.curves import FACT, Curve, Sample, Shift
-from gpusimbench.evaluator.compare.history.history import Event, Fact, History, Traced
-from gpusimbench.evaluator.compare.history.series import ORDER
-from gpusimbench.evaluator.compare.history.words import headline
-from gpusimbench.evaluator.json_values import document_of, dump, picked, values_of
+from gpusimbench.evaluator.compare.history.history import Event, History, Traced
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
     EMPTY,
@@ -36,7 +32,7 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.figures.history import Dot, Level, Mark, history_chart
 from gpusimbench.evaluator.render.numbers import NONE, bounds, figure
-from gpusimbench.evaluator.results.metric import Axis, Direction
+from gpusimbench.evaluator.results.metric import Direction
 from gpusimbench.schemas.text import plural
 
 _LINES, _NOTES = 5, 2
@@ -287,98 +283,3 @@ def _points(history: History) -> Table:
     ]
     columns = ("point", "first run [UTC]", "recordings", "unreadable", "versions")
     return table("points-table", "", columns, rows)
-
-
-def dump_json(history: History) -> str:
-    """The document as text."""
-    settings = history.settings
-    return dump(
-        document_of({
-            "verdict": headline(history),
-            "exit_code": int(history.exit_code),
-            "order": ORDER,
-            "settings": {
-                **picked(settings, "alpha threshold outcome_cm"),
-                "gates": [axis.value for axis in Axis if axis in settings.gates] if history.gated else [],
-                "curves_tested": history.tests,
-            },
-            "points": [
-                {
-                    "label": point.label,
-                    "begins_utc": point.begins or None,
-                    "n_recording": len(point.runs),
-                    "unreadable": [{"file": values_of(u.path), "reason": str(u.error)} for u in point.unreadable],
-                }
-                for point in history.points
-            ],
-            "configurations": [_configuration(one, history) for one in history.traced],
-            "undecided": [
-                {
-                    "label": one.series.heading,
-                    "device": one.series.device,
-                    "axis": axis.value,
-                    "title": title,
-                    "reason": why,
-                }
-                for one, axis, title, why in history.undecided
-            ],
-            "notes": list(history.notes),
-        })
-    )  # fmt: skip
-
-
-def _configuration(one: Traced, history: History) -> dict[str, Any]:
-    return {
-        "label": one.series.label,
-        **picked(one.series.key, "simulator scene n_env dt determinism"),
-        "device": one.series.device,
-        "groups": [
-            {
-                "point": entry.point,
-                "version": entry.group.key.version,
-                "n_run": len(entry.group.complete),
-                "outcomes": entry.group.outcomes,
-            }
-            for entry in one.series.entries
-        ],
-        "curves": [_curve(curve, history) for curve in one.curves],
-        "facts": [_fact_record(fact, history) for fact in one.facts],
-    }
-
-
-def _curve(curve: Curve, history: History) -> dict[str, Any]:
-    metric = curve.metric
-    return {
-        **picked(metric, "name title unit"),
-        "axis": curve.axis.value,
-        **picked(metric, "direction method"),
-        "scale": "logarithm" if curve.logs else "value",
-        "exact": curve.exact,
-        "smallest_visible": curve.visible,
-        "changes_missing": curve.changes_missing,
-        "samples": [_sample(sample) for sample in curve.samples],
-        "changes": [_shift_record(shift, curve, history) for shift in curve.shifts],
-    }
-
-
-def _sample(sample: Sample) -> dict[str, Any]:
-    return picked(sample, "point value ci95 n")
-
-
-def _shift_record(shift: Shift, curve: Curve, history: History) -> dict[str, Any]:
-    record: dict[str, Any] = values_of(shift)
-    return {**record, "label": history.points[shift.point].label, "exact": curve.exact}
-
-
-def _fact_record(fact: Fact, history: History) -> dict[str, Any]:
-    finding = fact.finding
-    return {
-        **picked(fact, "point previous"),
-        "label": history.points[fact.point].label,
-        **picked(finding, "axis name title change"),
-        "said": {"before": finding.said[0], "after": finding.said[1]},
-        "before": finding.base,
-        "after": finding.head,
-        "unit": finding.unit,
-        "note": finding.note or None,
-    }

@@ -135,7 +135,7 @@ class History:
 
     @property
     def exit_code(self) -> ExitCode:
-        """As of a comparison."""
+        """The exit code of gsb-compare, as of two sets."""
         lost = bool(self.unreadable or self.lost)
         return exit_code_of(failing=bool(self.failing), lost=lost, decided=self.compared and not self.undecided)
 

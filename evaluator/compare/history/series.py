@@ -8,8 +8,8 @@ from pathlib import Path
 
 from gpusimbench.evaluator.compare.matching import anywhere, machine
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.inputs.file_set import without_copies
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all
-from gpusimbench.evaluator.results.evaluate import without_copies
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, group
 from gpusimbench.evaluator.runs.labels import labels, options_given
@@ -88,10 +88,9 @@ def _is_point(inside: Path) -> bool:
 
 
 def _point(label: str, files: Sequence[Run | Unreadable]) -> Point:
-    failures = [one for one in files if isinstance(one, Unreadable)]
-    distinct, notes = without_copies([one for one in files if isinstance(one, Run)], failures)
-    times = [run.provenance.created_utc for run in distinct if run.provenance.dated]
-    return Point(label, min(times, default=""), tuple(with_peers(distinct)), tuple(failures), tuple(notes))
+    found = without_copies(files)
+    times = [run.provenance.created_utc for run in found.runs if run.provenance.dated]
+    return Point(label, min(times, default=""), tuple(with_peers(found.runs)), found.unreadable, found.notes)
 
 
 def _refuse_shared(points: Sequence[Point]) -> None:

@@ -25,7 +25,7 @@ def pendulum_period(amplitude: Array, small: float) -> Array:
 
 
 def sliding_acceleration(along: float, normal: float, gravity: float, friction: float) -> float:
-    """Of a block that slides down a plank by Coulomb's law [m/s2]: g (sin a - mu cos a).
+    """The acceleration of a block that slides down a plank by Coulomb's law [m/s2]: g (sin a - mu cos a).
 
     along   component of the unit vector along the motion that points down: sin a
     normal  component of the plank's normal that points up: cos a

@@ -34,7 +34,7 @@ class Fall:
 
     @property
     def speed(self) -> float:
-        """At the ground, sqrt(2 g h) [m/s]."""
+        """The speed at the ground, sqrt(2 g h) [m/s]."""
         return math.sqrt(2.0 * self.gravity * self.height)
 
 

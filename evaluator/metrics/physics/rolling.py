@@ -44,7 +44,7 @@ class Descent:
 
     @property
     def acceleration(self) -> float:
-        """Of the ball [m/s2]."""
+        """The acceleration of the ball [m/s2]."""
         return 5.0 / 7.0 * self.steepest
 
     @property
@@ -54,7 +54,7 @@ class Descent:
 
     @property
     def foot_speed(self) -> float:
-        """At the foot, sqrt(2 a length) [m/s]."""
+        """The speed at the foot, sqrt(2 a length) [m/s]."""
         return math.sqrt(2.0 * self.acceleration * self.length)
 
     @property

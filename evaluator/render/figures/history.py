@@ -67,7 +67,7 @@ def history_chart(
     def across(at: float) -> float:
         return _LEFT + _SIDE * (at + 0.5) / len(names)
 
-    shown = _named(names)
+    shown = _shown_names(names)
     said = f"{value} at {plural(len(dots), 'point')}, {plural(len(marks), 'change')} marked"
     return figure(
         _WIDTH,
@@ -109,7 +109,7 @@ def _upward(dots: Sequence[Dot], levels: Sequence[Level]) -> tuple[Callable[[flo
     return lambda v: _TOP + _FLOOR * (1 - (v - low) / (high - low)), axis.ticks(low, high, at_most=5)
 
 
-def _named(names: Sequence[str]) -> list[tuple[int, str]]:
+def _shown_names(names: Sequence[str]) -> list[tuple[int, str]]:
     """Points whose names are shown: as many as have room side by side, the newest among them."""
     short = [name if len(name) <= _LABEL else f"{name[: _LABEL - 1]}…" for name in names]
     room = max(len(name) for name in short) * _LETTER + 10

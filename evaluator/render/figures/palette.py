@@ -74,7 +74,7 @@ def theme(*, dark: bool) -> dict[str, str]:
 
 
 def variables(*, dark: bool) -> str:
-    """The same as CSS custom properties."""
+    """The colours of `theme` as CSS custom properties."""
     return " ".join(f"--{name}: {value};" for name, value in theme(dark=dark).items())
 
 

@@ -252,7 +252,7 @@ def _values(contenders: Sequence[Contender], of: Radar) -> Table:
     rows = []
     for contender in contenders:
         values = contender.figures.axis_values()
-        cells = [_named(contender)]
+        cells = [_contender_cell(contender)]
         for axis, shown in axes:
             value = values[axis]
             if value is None:
@@ -265,7 +265,7 @@ def _values(contenders: Sequence[Contender], of: Radar) -> Table:
     return table("radar", "Values behind the radar, and in brackets as it scales them", columns, rows, reasons.legend)
 
 
-def _named(contender: Contender) -> Cell:
+def _contender_cell(contender: Contender) -> Cell:
     notes = []
     if contender.sweep and contender.sweep.n_max is not None:
         notes.append(

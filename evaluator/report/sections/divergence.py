@@ -190,7 +190,7 @@ def _growth(result: GroupResult, key: str) -> Figure:
         for c in curves
         for i in chart.shown_rows(c)
     ]
-    return Figure(label, _said(result, curves), Markup(svg), key, Numbers(_columns(unit), rows), _about(result))
+    return Figure(label, _caption(result, curves), Markup(svg), key, Numbers(_columns(unit), rows), _about(result))
 
 
 def _columns(unit: str) -> tuple[str, ...]:
@@ -222,7 +222,7 @@ def _curves(result: GroupResult) -> Iterator[chart.Curve]:
         yield chart.Curve(index, runs, times, _values(spread.largest), _values(spread.rms), fit)
 
 
-def _said(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
+def _caption(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
     what = _followed(result)[1]
     points = len(curves[0].times)
     thick, thin = ("Filled", "Open") if points < chart.LINE_FROM else ("Thick", "Thin")

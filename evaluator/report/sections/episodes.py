@@ -30,7 +30,7 @@ def section(source: Source) -> Section | None:
 
 
 def counts_of(result: GroupResult) -> list[EpisodeCounts]:
-    """Of the complete runs that have episodes."""
+    """The counts of the complete runs that have episodes."""
     return [run.episodes for run in result.group.complete if not isinstance(run.episodes, Missing)]
 
 

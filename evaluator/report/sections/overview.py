@@ -182,7 +182,10 @@ def _fastest_table(found: Sequence[Fastest], results: Sequence[GroupResult]) -> 
         "The fastest valid simulator of each scene",
         ["scene, device", f"fastest [{FPS.unit}]", "next", "faster, not ranked"],
         [
-            Row((_where(one), _named(one.first), _named(one.second), _barred(one, results)), {"scene": one.scene})
+            Row(
+                (_where(one), _speed_cell(one.first), _speed_cell(one.second), _barred(one, results)),
+                {"scene": one.scene},
+            )
             for one in found
         ],
     ).without_empty_columns()
@@ -223,7 +226,7 @@ def _where(found: Fastest) -> Cell:
     return Cell(found.scene, notes=(found.device or "no device",), link="throughput")
 
 
-def _named(speed: Speed | None) -> Cell:
+def _speed_cell(speed: Speed | None) -> Cell:
     if speed is None:
         return Cell("none", tone=Tone.QUIET)
     fps, key = ranked(speed.result.metrics[FPS.name]), speed.result.group.key

@@ -100,10 +100,10 @@ def evidence(finding: Finding) -> str:
     """What the answer stands on, in a few words."""
     if finding.found is None:
         return finding.reason
-    return "; ".join(filter(None, (_found(finding.found), finding.detail, finding.reason)))
+    return "; ".join(filter(None, (_difference(finding.found), finding.detail, finding.reason)))
 
 
-def _found(found: Found) -> str:
+def _difference(found: Found) -> str:
     pairs = plural(found.pairs, "pair")
     if found.level is EqualityLevel.BIT_IDENTICAL:
         return f"bit-identical: {pairs}, {plural(found.steps, 'step')}"

@@ -164,14 +164,14 @@ def _not_computed(result: GroupResult) -> Iterator[Block]:
 def _method(found: Estimate) -> Row:
     name, unit, better = Cell(found.name, code=True), Cell(found.unit or EMPTY.text), Cell(found.metric.direction.value)
     bounds = Cell(interval(found)) if found.ci95 else EMPTY
-    how = "; ".join([found.method, *_more(found)])
+    how = "; ".join([found.method, *_estimate_notes(found)])
     n = Cell(str(found.n), float(found.n))
     return Row(
         (name, Cell(mean_sd(found), known(found.value)), unit, bounds, n, better, Cell(found.exactness), Cell(how))
     )
 
 
-def _more(found: Estimate) -> Iterator[str]:
+def _estimate_notes(found: Estimate) -> Iterator[str]:
     if extension := getattr(found.details, "extension", ""):
         yield extension
     floor = words.floor_of(found).w1

@@ -72,7 +72,7 @@ class SceneSweeps:
 
 
 def _scene_sweeps(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
-    """By scene, in order."""
+    """The sweeps by scene, in order."""
     for nth, scene in enumerate(dict.fromkeys(s.key.scene for s in sweeps)):
         yield _with_charts(scene, sweeps, {}, key_of("scaling", nth, scene))
 

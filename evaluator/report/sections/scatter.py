@@ -32,19 +32,19 @@ def pictures(evaluation: Evaluation) -> Iterator[Figure]:
         distance = _distance(results)
         if distance == TOSS_POSITION.name:
             results = [one.with_throughput for one in ranked(results)]
-        told = [r for r in results if _known(r.metrics[_SPEED]) and _known(r.metrics[distance])]
+        told = [r for r in results if _has_value(r.metrics[_SPEED]) and _has_value(r.metrics[distance])]
         if told:
             yield _picture(scene, told, _absent(results, distance), distance, evaluation, nth)
 
 
 def _distance(results: Sequence[GroupResult]) -> str:
     """The distance that the scene is drawn with: the first of these that any group has, or the last."""
-    if any(_known(r.metrics[TOSS_POSITION.name]) for r in results):
+    if any(_has_value(r.metrics[TOSS_POSITION.name]) for r in results):
         return TOSS_POSITION.name
-    return "w1_real" if any(_known(r.metrics["w1_real"]) for r in results) else "w1_run_to_run"
+    return "w1_real" if any(_has_value(r.metrics["w1_real"]) for r in results) else "w1_run_to_run"
 
 
-def _known(found: Estimate) -> bool:
+def _has_value(found: Estimate) -> bool:
     return not isinstance(found.value, Missing)
 
 
@@ -69,7 +69,7 @@ def _picture(
          faults[r.label], "; ".join(r.footnotes))
         for r, p in zip(told, points, strict=True)
     ]  # fmt: skip
-    said = _said(points, told, far.title, absent)
+    said = _caption(points, told, far.title, absent)
     return Figure(f"Speed and divergence, {scene}", said, Markup(svg), key_of("speed-divergence", nth, scene),
                    Numbers(titles, rows))  # fmt: skip
 
@@ -114,7 +114,7 @@ def _value(found: Estimate) -> float:
     return found.value
 
 
-def _said(points: Sequence[Point], told: Sequence[GroupResult], far: str, absent: str) -> str:
+def _caption(points: Sequence[Point], told: Sequence[GroupResult], far: str, absent: str) -> str:
     said = [f"Right is faster, below is a smaller {far}. Lines: 95 % intervals over runs."]
     if len(points) > len({p.label for p in points if p.label}):
         said.append("Marks of one shape and colour are groups of one simulator, named once or twice.")

@@ -20,13 +20,13 @@ from gpusimbench.schemas.text import plural
 
 def section(source: Source) -> Section | None:
     """A folded part for each simulator."""
-    parts = tuple(_of(source, *one) for one in ordered(source.evaluation.results, "simulator").items())
+    parts = tuple(_simulator(source, *one) for one in ordered(source.evaluation.results, "simulator").items())
     if not parts:
         return None
     return Section("each", "Each simulator", parts, plural(len(parts), "simulator"), folded=True)
 
 
-def _of(source: Source, name: str, results: list[GroupResult]) -> Section:
+def _simulator(source: Source, name: str, results: list[GroupResult]) -> Section:
     questions = [*QUESTIONS, *([TO_REFERENCE] if source.evaluation.reference else [])]
     said = "; ".join(f"{one.title}: {one.answer(results).text}" for one in questions)
     return Section(

@@ -46,7 +46,7 @@ _LOCAL_LEGEND = (
 def section(source: Source) -> Section | None:
     """None where nothing was compared with tosses."""
     order, local = ranked(source.shown, source.evaluation.results), _local(source)
-    blocks, said = _whole(source, order) if order else ([], "")
+    blocks, said = _whole_tosses(source, order) if order else ([], "")
     if local:
         blocks.append(local)
         said = "; ".join(filter(None, (said, f"{plural(len(local.rows), 'group')} with local errors")))
@@ -92,7 +92,7 @@ def _measured_floor(metric: Metric) -> tuple[Column, Written]:
     return Column(title, "the same error of a cube in free flight, which no simulation can go below"), cell
 
 
-def _whole(source: Source, order: Sequence[Ranked]) -> tuple[list[Block], str]:
+def _whole_tosses(source: Source, order: Sequence[Ranked]) -> tuple[list[Block], str]:
     """Whole tosses: the table of errors, what stands below it, and both in a sentence."""
     best = order[0].result
     reasons = Reasons()

@@ -73,7 +73,7 @@ def _of_simulator(name: str, results: Sequence[GroupResult]) -> Row:
         (
             Cell(name, link=key_of("simulator", name)),
             Cell(str(len(results)), float(len(results))),
-            _said(ended),
+            _endings(ended),
             Cell(f"in {counted} of {of}", tone=Tone.PLAIN if counted else Tone.QUIET),
             _fullest(fullest),
             _overflows(results),
@@ -101,10 +101,10 @@ def _ended(result: GroupResult) -> dict[str, int]:
 
 
 def _runs(result: GroupResult) -> Cell:
-    return _said(_ended(result))
+    return _endings(_ended(result))
 
 
-def _said(ended: dict[str, int]) -> Cell:
+def _endings(ended: dict[str, int]) -> Cell:
     complete_first = sorted(ended.items(), key=lambda one: one[0] != "complete")
     text = ", ".join(f"{count} {'INVALID' if how == 'invalid' else how}" for how, count in complete_first)
     return Cell(text, tone=Tone.BAD if ended.keys() - {"complete"} else Tone.PLAIN)

@@ -55,7 +55,7 @@ class Setting:
 
     @property
     def row_time(self) -> float:
-        """From row to row [s]."""
+        """Simulated time from row to row [s]."""
         return self.dt * self.stride
 
     @property

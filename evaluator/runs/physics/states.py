@@ -152,13 +152,13 @@ class Walk:
         if any(array is None for array in arrays):
             return None
         parts = [
-            _joined([self._of(array, first, stop, begin, last) for begin, last in self._envs], axis=1)
+            _joined([self._in_env_frame(array, first, stop, begin, last) for begin, last in self._envs], axis=1)
             for array in arrays
             if array is not None
         ]
         return _joined(parts, axis=2)
 
-    def _of(self, array: StateArray, first: int, stop: int, begin: int, last: int) -> Array:
+    def _in_env_frame(self, array: StateArray, first: int, stop: int, begin: int, last: int) -> Array:
         read = array.read(slice(first, stop), slice(begin, last + 1))
         if array.field.field != "position":
             return read.astype(np.float64, copy=False)

@@ -57,7 +57,7 @@ class Moving:
 
     @property
     def reach(self) -> float:
-        """From the centre to the farthest point [m]."""
+        """The distance from the centre to the farthest point [m]."""
         return self.radius + self.half * math.sqrt(3.0)
 
 
@@ -103,7 +103,7 @@ class World:
 
     @property
     def mass(self) -> Array:
-        """Of the moving bodies [kg]."""
+        """The masses of the moving bodies [kg]."""
         return np.array([body.mass for body in self.moving])
 
     @property

@@ -64,7 +64,7 @@ class Author:
 
     @property
     def shown(self) -> str:
-        """As in a sentence."""
+        """The name as a sentence has it."""
         return f"{self.given} {self.family}".strip()
 
 

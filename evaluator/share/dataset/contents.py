@@ -129,7 +129,7 @@ def check_up(path: Place, name: str = "") -> Checkup:
     file = examine(path)
     integrity = check([file], [load_rules(INTEGRITY)])
     protocol = check([file], [load_rules(PROTOCOL)])
-    findings = _told(integrity, Severity.error)
+    findings = _findings(integrity, Severity.error)
     unasked = [u for u in integrity.unchecked if u.rule.level is Severity.error]
     if not findings:
         findings = [f"{u.rule.id}: not checked, {u.reason}" for u in unasked]
@@ -141,12 +141,12 @@ def check_up(path: Place, name: str = "") -> Checkup:
         outcome=DAMAGED if damaged else BROKEN if findings else WHOLE,
         content_hash="" if file.end is None else str(file.end.content_hash),
         findings=tuple(dict.fromkeys(findings)),
-        warnings=tuple(_told(integrity, Severity.warning)),
+        warnings=tuple(_findings(integrity, Severity.warning)),
         deviations=tuple(alone),
     )
 
 
-def _told(report: Report, level: Severity) -> list[str]:
+def _findings(report: Report, level: Severity) -> list[str]:
     return [f"{finding.rule.id}: {finding.found}" for finding in report.findings if finding.rule.level is level]
 
 
@@ -164,7 +164,7 @@ class Sum:
 
 
 def sum_of(path: Path) -> Sum:
-    """Of a file; GsbError where it cannot be read."""
+    """The size and the digest of a file; GsbError where it cannot be read."""
     digest, size = hashlib.sha256(), 0
     try:
         with path.open("rb") as stream:
@@ -177,7 +177,7 @@ def sum_of(path: Path) -> Sum:
 
 
 def sum_of_bytes(data: bytes) -> Sum:
-    """Of bytes."""
+    """The size and the digest of some bytes."""
     return Sum(len(data), hashlib.sha256(data).hexdigest())
 
 
@@ -196,7 +196,7 @@ class LookedAt:
 
     @property
     def run(self) -> Run | None:
-        """What was read; None where it is damaged."""
+        """The run that was read; None where the file is damaged."""
         return self.read if isinstance(self.read, Run) else None
 
 

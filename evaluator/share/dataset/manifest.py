@@ -99,12 +99,12 @@ class Manifest:
 
     @property
     def sums(self) -> dict[str, Sum]:
-        """Of all files that it names, by path."""
+        """The sums of all files that the manifest names, by path."""
         return {file.path: file.sum for file in (*self.files, *self.written)}
 
 
 def versions() -> dict[str, str]:
-    """Of this project, and of what it computes and writes with."""
+    """Versions of this project, and of what it computes and writes with."""
     return {"gpusimbench": schemas.__version__, "python": python_version()} | {
         name: found for name in _PACKAGES if (found := version_of(name))
     }

@@ -28,7 +28,7 @@ class SetPlace(ABC):
 
     @abstractmethod
     def size(self, path: str) -> int:
-        """Of a file [byte]; Unreachable where there is none."""
+        """The size of a file [byte]; Unreachable where there is none."""
 
     @abstractmethod
     def local(self, path: str, size: int) -> AbstractContextManager[Path]:

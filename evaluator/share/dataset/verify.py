@@ -62,12 +62,12 @@ class Kind(Enum):
 
     @property
     def word(self) -> str:
-        """As in a line of the command."""
+        """The word for it in a line of the command."""
         return self.value[0]
 
     @property
     def code(self) -> ExitCode:
-        """What the command ends with."""
+        """The exit code that a problem of this kind gives the command."""
         return self.value[1]
 
 

@@ -62,7 +62,7 @@ def leaderboard_document(board: Board) -> Document:
         blocks.append(Part(f"unnamed{number}", title, (_without_place(f"unnamed{number}-none", section.rows),)))
     if board.notes:
         blocks.append(Part("notes", "Notes", (items(*board.notes),), plural(len(board.notes), "note"), folded=True))
-    blocks.append(_how())
+    blocks.append(_how_to_read())
     made_by = (Text("The same rows for programs: leaderboard.json and leaderboard.csv, beside this page."),)
     return Document(board.title, tuple(blocks), _LEAD.format(plural(board.recordings, "recording")), made_by)
 
@@ -172,7 +172,7 @@ def _ranking(key: str, section: Section) -> Table:
     for row in section.ranked:
         most, ends = formats.n_env_max(row)
         cells = (
-            _who(row), Cell(str(row.place), float(row.place or 0), notes=_equals(row)), _speed(row), _envs(row),
+            _claim(row), Cell(str(row.place), float(row.place or 0), notes=_equals(row)), _speed(row), _envs(row),
             _memory(row),
             Cell(most, notes=(ends,)) if most else EMPTY,
             *(question.answer([row.result]) for question in QUESTIONS),
@@ -183,7 +183,7 @@ def _ranking(key: str, section: Section) -> Table:
 
 
 def _points(key: str, of: Sequence[Standing]) -> Table:
-    rows = [Row((_who(row), _envs(row), _speed(row), _memory(row), _checked(row)), facets(row.key)) for row in of]
+    rows = [Row((_claim(row), _envs(row), _speed(row), _memory(row), _checked(row)), facets(row.key)) for row in of]
     return table(key, "", ("simulator", "envs", _SPEED, "memory", _CHECKED), rows)
 
 
@@ -191,7 +191,7 @@ def _without_place(key: str, of: Sequence[Standing]) -> Table:
     rows = []
     for row in of:
         why = Cell(row.place_missing, tone=Tone.BAD if _is_fault(row) else Tone.QUIET)
-        rows.append(Row((_who(row), _envs(row), why, _checked(row), _reproduced(row)), facets(row.key)))
+        rows.append(Row((_claim(row), _envs(row), why, _checked(row), _reproduced(row)), facets(row.key)))
     return table(key, "", ("simulator", "envs", "why it has no place", _CHECKED, _REPRODUCED), rows)
 
 
@@ -221,7 +221,7 @@ def _files(key: str, section: Section) -> Table:
     return table(key, "", ("simulator", "file", "content hash", "status", "replay of"), rows)
 
 
-def _who(row: Standing) -> Cell:
+def _claim(row: Standing) -> Cell:
     """The claim of a row: name, version, level."""
     return Cell(row.name, notes=(f"{row.key.version or 'no version'}; determinism {row.key.determinism}",))
 
@@ -259,7 +259,7 @@ def _reproduced(row: Standing) -> Cell:
     return Cell(formats.reproduced(row.reproduction), tone=Tone.GOOD if row.reproduction.reproduced else Tone.PLAIN)
 
 
-def _how() -> Part:
+def _how_to_read() -> Part:
     return Part("how", "How to read this", (items(*_explained()),), folded=True)
 
 

@@ -55,12 +55,12 @@ class Reproduction:
 
     @property
     def machines(self) -> int:
-        """Kinds of machines of those."""
+        """How many kinds of machines the agreeing replays ran on."""
         return len({replay.machine for replay in self.agreeing})
 
     @property
     def elsewhere(self) -> int:
-        """Kinds of machines of those, other than the original's."""
+        """How many of these kinds are not the original's."""
         return len({replay.machine for replay in self.agreeing if replay.other_machine})
 
     @property
@@ -71,7 +71,7 @@ class Reproduction:
 
     @property
     def count(self) -> int:
-        """All replays."""
+        """How many replays there are of all originals."""
         return sum(map(len, self.replays.values()))
 
 

@@ -72,7 +72,7 @@ class Row:
 
     @property
     def key(self) -> GroupKey:
-        """Of the group."""
+        """The key of the group."""
         return self.result.group.key
 
     @property

@@ -12,12 +12,12 @@ MEAN = "the mean of the two coefficients"
 
 
 def materials(scene: Scene) -> list[Material]:
-    """Of the scene's bodies, each name once."""
+    """The materials of the scene's bodies, each name once."""
     return list({body.material.name: body.material for body in scene.bodies}.values())
 
 
 def materials_and_robot(scene: Scene) -> list[Material]:
-    """Of the scene's bodies and its robot, each name once."""
+    """The materials of the scene's bodies and its robot, each name once."""
     robot = [] if scene.robot is None else [scene.robot.material]
     return list({material.name: material for material in (*materials(scene), *robot)}.values())
 

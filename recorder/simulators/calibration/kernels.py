@@ -21,7 +21,7 @@ Shifts = ti.types.ndarray(dtype=ti.f32, ndim=1)  # [env]
 
 @ti.func
 def normal_force(depth: ti.f32, closing: ti.f32, mass: ti.f32) -> ti.f32:
-    """Of a damped spring that never pulls [N]."""
+    """The force of a damped spring that never pulls [N]."""
     return ti.max(0.0, mass * RATE * (RATE * depth + 2.0 * DAMPING * closing))
 
 

@@ -26,7 +26,7 @@ class Rows:
         self._watch = watch
 
     def shapes(self, rows: int) -> Shapes:
-        """Of tensors with so many rows."""
+        """Shapes and types of tensors with so many rows."""
         import genesis
 
         model = self._model
@@ -36,7 +36,7 @@ class Rows:
         return states | counts
 
     def row_bytes(self) -> int:
-        """Of a row on the device."""
+        """The bytes of a row on the device."""
         return sum(math.prod(shape) * dtype.itemsize for shape, dtype in self.shapes(1).values())
 
     def tensors(self, rows: int) -> dict[str, Any]:

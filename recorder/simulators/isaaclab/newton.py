@@ -121,7 +121,7 @@ class Newton:
         self._launch("next_row", 1, row)
 
     def evidence(self, rows: int) -> Evidence:
-        """What the first rows hold."""
+        """The evidence that the first rows hold."""
         bits, *counts = (array[:rows].numpy().copy() for array in self._stored)
         named = {counter.name: array for counter, array in zip(self.counters, counts, strict=True)}
         return Evidence(named, bits.astype(np.uint32))

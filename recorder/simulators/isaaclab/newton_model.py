@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.emit.usd import Apis, literal
+from gpusimbench.recorder.scenes.emit.usd_prim import Apis, literal
 from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.newton.imported import Imported as Places
 from gpusimbench.recorder.simulators.newton.mujoco_terms import (

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere
-from gpusimbench.recorder.scenes.emit.usd import MATERIALS, identifiers
+from gpusimbench.recorder.scenes.emit.usd import MATERIALS
+from gpusimbench.recorder.scenes.emit.usd_prim import identifiers
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 
 _AMBIGUOUS = (6, 7)

@@ -21,19 +21,19 @@ _BITS = "overflow_bits"
 
 
 def state_shapes(worlds: Worlds, rows: int) -> dict[str, tuple[tuple[int, ...], Any]]:
-    """Of the states of all worlds."""
+    """Shapes and types of rows of the states of all worlds."""
     return {name: ((rows, a.size), a.dtype) for name, a in zip(STATES, worlds.shown(), strict=True)}
 
 
 def evidence_shapes(watch: Watch, n_env: int, rows: int) -> dict[str, tuple[tuple[int, ...], Any]]:
-    """Of the counts and overflow bits of all worlds."""
+    """Shapes and types of rows of the counts and overflow bits of all worlds."""
     import warp as wp
 
     return dict.fromkeys((*(counter.name for counter in watch.counters), _BITS), ((rows, n_env), wp.int32))
 
 
 def row_bytes(worlds: Worlds, watch: Watch) -> int:
-    """Of a row of both, on the device."""
+    """The bytes of a row of states and of evidence, on the device."""
     states = sum(array.capacity for array in worlds.shown())
     return int(states + 4 * worlds.n_env * (1 + len(watch.counters)))
 

@@ -50,7 +50,7 @@ def choose_sizes(scene: Scene, *, dt: float, seed: int, options: NewtonOptions, 
 
 
 def _contacts_of_a_body(compiled: MjcfModel, need: Need) -> int:
-    """Of the moving body that has most of them, at any step."""
+    """The contacts of the moving body that has most of them, at any step."""
     body_of = np.asarray(compiled.model.geom_bodyid)
     most = 0
     for data in compiled.rollout(n_step=need.steps):

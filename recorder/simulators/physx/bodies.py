@@ -43,7 +43,7 @@ class Bodies:
 
     @property
     def row_shape(self) -> tuple[int, ...]:
-        """Of a stored state: [body, number]."""
+        """The shape of a stored state: [body, number]."""
         return self.count, _WIDTH
 
     def begin(self) -> None:

@@ -65,10 +65,10 @@ def quiet() -> Iterator[None]:
 
 
 def version() -> str:
-    """Of the engine, as distributed."""
+    """The version of the engine, as distributed."""
     return metadata.version("ovphysx")
 
 
 def versions() -> dict[str, str]:
-    """Of what it is made of and read with."""
+    """Versions of what the engine is made of and read with."""
     return {name: metadata.version(name) for name in ("ovphysx", "ovstage", "physx-usd-schemas", "newton-usd-schemas")}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Vector
-from gpusimbench.recorder.scenes.emit.usd import Apis
+from gpusimbench.recorder.scenes.emit.usd_prim import Apis
 from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.mujoco.imported import of_c
 from gpusimbench.recorder.simulators.mujoco.model import compile_scene
@@ -52,7 +52,7 @@ class Model:
 
     @property
     def gravity(self) -> Vector:
-        """That acts [m/s^2]: none where the model's flags switch it off."""
+        """The gravity that acts [m/s^2]: none where the model's flags switch it off."""
         options = self.compiled.model.opt
         off = int(options.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         return (0.0, 0.0, 0.0) if off else vector(options.gravity)

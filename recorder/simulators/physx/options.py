@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from gpusimbench.recorder.options import one_of
-from gpusimbench.recorder.scenes.emit.usd import Apis, Value
+from gpusimbench.recorder.scenes.emit.usd_prim import Apis, Value
 
 SOLVERS = ("TGS", "PGS")
 COMBINE_MODES = ("average", "min", "max", "multiply")

@@ -90,7 +90,7 @@ class NativeLog(logging.Handler):
         return [f"PhysX says, {count} times: {text}" for text, count in found.items()]
 
     def peek(self) -> list[str]:
-        """The same, left for the next call of `take`."""
+        """The fatal lines that the next call of `take` takes."""
         import ovphysx
 
         ovphysx.flush_log()

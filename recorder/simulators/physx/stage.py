@@ -15,19 +15,8 @@ import numpy as np
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.base import Box, Capsule, Material, Plane, Quaternion, Shape, Sphere, Vector
-from gpusimbench.recorder.scenes.emit.usd import (
-    MATERIALS,
-    Apis,
-    Prim,
-    collider,
-    env_path,
-    literal,
-    material_prim,
-    physics_scene,
-    pose_lines,
-    stage_text,
-    tuple_text,
-)
+from gpusimbench.recorder.scenes.emit.usd import MATERIALS, collider, env_path, material_prim, physics_scene
+from gpusimbench.recorder.scenes.emit.usd_prim import Apis, Prim, literal, pose_lines, stage_text, tuple_text
 from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.physx.contacts import apart, frictions
 from gpusimbench.recorder.simulators.physx.servos import Servo

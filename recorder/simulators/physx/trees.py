@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.scenes.emit.usd import identifiers
+from gpusimbench.recorder.scenes.emit.usd_prim import identifiers
 from gpusimbench.recorder.simulators.mujoco.model import collides
 
 ADDED_SHARE = 1e-5

@@ -37,7 +37,7 @@ def library() -> Path | None:
 
 
 def sha256(path: Path | None) -> str:
-    """Of a file, as hexadecimal digits; empty where there is no file."""
+    """The SHA-256 digest of a file, as hexadecimal digits; empty where there is no file."""
     if path is None or not path.is_file():
         return ""
     with path.open("rb") as stream:

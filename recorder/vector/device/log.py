@@ -71,7 +71,7 @@ class HostLog:
         of_images: dict[str, str] = {}
         found = about.images.recorded(self._history.completed(rows, resets), of_images, lead=2)
         if self._writer is None:
-            self._writer = self._begun({name: array[0] for name, array in found.items()}, of_images)
+            self._writer = self._open_log({name: array[0] for name, array in found.items()}, of_images)
         self._writer.append(*(array.astype(recorded_dtype(array.dtype), copy=False) for array in found.values()))
         self._states += len(rows["reward"])
 
@@ -86,7 +86,7 @@ class HostLog:
         if self._writer is not None:
             self._writer.__exit__(type(error) if error else None, error, None)
 
-    def _begun(self, row: Columns, of_images: Mapping[str, str]) -> RecordingWriter:
+    def _open_log(self, row: Columns, of_images: Mapping[str, str]) -> RecordingWriter:
         about = self._about
         notes = {name: NO_STEP for name in row if name == "reward" or name.startswith("action")}
         notes |= {name: NOT_GIVEN for name in row if name.startswith("info/") and not name.endswith(GIVEN)}

@@ -130,7 +130,7 @@ class RecordedTensors(Ending):
         if self._log.ended:
             return self.env.step(action)
         try:
-            given = self._given(action)  # before the environment may change them
+            given = self._action_row(action)  # before the environment may change them
             self._log.make_room()
             if not self._log.begun and self._start is None:
                 raise UsageError(
@@ -167,7 +167,7 @@ class RecordedTensors(Ending):
             mask[_host(some)] = True
         self._log.replace(seen, Which.ALL if mask is None else _host(mask).astype(np.bool_))
 
-    def _given(self, action: Any) -> Row:
+    def _action_row(self, action: Any) -> Row:
         given = _copied(action, "action")
         alone = getattr(told_by(self.env, "single_action_space"), "shape", None)
         if self._n_env == 1 and alone is not None:  # ManiSkill takes the action of one environment without its axis

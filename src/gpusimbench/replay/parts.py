@@ -26,7 +26,7 @@ _PHYSICS = (f"{PHYSICS}qpos", f"{PHYSICS}qvel")
 
 
 def seed_of(recording: Recording) -> Any:
-    """Of the first reset: a number, one of each environment, or None where none was given."""
+    """The seed of the first reset: a number, a number for each environment, or None where none was given."""
     if own := _seeds(recording):
         return [own.get((env, 0)) for env in range(recording.configuration.n_env)]
     told = recording.configuration.options.get("seeds")
@@ -80,7 +80,7 @@ def parts_of(recording: Recording) -> list[list[GivenEpisode]]:
 
 
 def _seeds(recording: Recording) -> dict[tuple[int, int], int]:
-    """Of episodes whose reset had a seed of its own, by environment and number."""
+    """The seeds of episodes whose reset had a seed of its own, by environment and number."""
     text = recording.attachment(SEEDS)
     try:
         told = [] if text is None else json.loads(text)
