@@ -58,6 +58,14 @@ os.environ.update(  # what XLA compiles
     JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES="-1",
 )
 
+UNOPTIMISED = " ".join(
+    filter(
+        None,
+        [os.environ.get("XLA_FLAGS"), "--xla_backend_optimization_level=0", "--xla_cpu_use_fusion_emitters=false"],
+    )
+)
+"""XLA_FLAGS of a process that leaves XLA's optimisations out; see the fixture `unoptimised`."""
+
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
 SMALL = ("--steps", "100", "--warmup", "10", "--timed-steps", "20")
@@ -184,8 +192,7 @@ def unoptimised(monkeypatch: pytest.MonkeyPatch) -> None:
     It is not for tests that compare two programs bit by bit, as one that steps with one that keeps what it sees:
     without the optimisations they round differently.
     """
-    flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
-    monkeypatch.setenv("XLA_FLAGS", " ".join(filter(None, [os.environ.get("XLA_FLAGS"), flags])))
+    monkeypatch.setenv("XLA_FLAGS", UNOPTIMISED)
 
 
 @pytest.fixture(scope="session")

@@ -465,7 +465,7 @@ def registered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
 @pytest.mark.parametrize(
     ("name", "check", "message"),
     [
-        ("gated", "run_is_recorded_whole", "inclined-collision ends invalid: phase warmup: contacts were dropped"),
+        ("gated", "run_is_recorded_whole", "ball-drop ends invalid: phase warmup: contacts were dropped"),
         ("stepsotherwise", "timed_steps_lead_where_captured_ones_do", r"differ at steps \[1, 4\]"),
     ],
 )
