@@ -231,8 +231,8 @@ FPS = Metric(
 
 DEVICE_MEMORY = Metric(
     "memory_peak_increment", "GPU memory increment", "GB", Direction.LOWER,
-    "largest reading of NVML's figure for the whole device in the timed phase (up to its last clock reading) minus the "
-    "baseline; the device is the first that CUDA shows to the run. Mean over runs without a known "
+    "largest reading of NVML's figure for the whole device in the [first timed window](#time-windows-and-memory) minus "
+    "the baseline; the device is the first that CUDA shows to the run. Mean over runs without a known "
     "[co-tenant](#gpu-memory-and-other-processes)",
     method="peak of the timed phase minus baseline (NVML, the whole of the device that steps)", published=True,
     values=each(_device_increment), details=_device_memory, of_group=_device,
@@ -241,7 +241,8 @@ DEVICE_MEMORY = Metric(
 
 PROCESS_MEMORY = Metric(
     "process_memory_peak", "GPU memory of the process", "GB", Direction.LOWER,
-    "largest reading, in the timed phase, of the memory that NVML attributes to the run's process; mean over all runs",
+    "largest reading, in the first timed window, of the memory that NVML attributes to the run's process; mean over "
+    "all runs",
     method="largest reading of the timed phase (NVML, of the run's process, which held none before)",
     values=each(_process_peak), details=_process_memory, optional=True, axis=Axis.MEMORY,
 )  # fmt: skip
@@ -256,7 +257,7 @@ ALLOCATOR_PEAK = Metric(
 
 HOST_MEMORY = Metric(
     "host_memory_peak_increment", "host memory increment", "MB", Direction.LOWER,
-    "largest resident set of the run's process in the timed phase minus the baseline; mean over runs",
+    "largest resident set of the run's process in the first timed window minus the baseline; mean over runs",
     method="peak of the timed phase minus baseline (resident set of the run's process)",
     values=each(_host_increment), details=_host_memory, of_group=_host,
     interval="delete-one-run jackknife", axis=Axis.MEMORY,

@@ -156,7 +156,7 @@ TOSS_REST = replace(
 
 TOSS_ENERGY = replace(
     TOSS_POSITION, name="toss_energy", title="error of energy", unit="mJ",
-    docs="absolute difference of the mechanical energies of a uniform cube, mean over the rows of a toss",
+    docs="absolute difference of the mechanical energies of a uniform cube, mean as for `toss_position`",
     method="difference of the simulated mechanical energy from the toss's, absolute, mean over the rows of a toss",
     of_group=_mean_of("energy", _MJ),
 )  # fmt: skip

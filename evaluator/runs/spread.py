@@ -41,7 +41,8 @@ class Spread:
                      further apart than twice that. None likewise
     fallen           bodies that fell off the scene's board, or through it, by the last row read. From then on neither
                      distance includes them, as in gsb-diff, because they fall for as long as is recorded; both do if
-                     all bodies fell. `largest` leaves out bodies that fell in environment 0, too
+                     no body is left that fell neither in environment 0 nor in another. `largest` leaves out bodies
+                     that fell in environment 0, too
     not_finite_from  first of the steps with a position that is not finite; None where all are
     resolution       largest difference that storing one place at two origins can make [m], which counts as none; None
                      where all environments have one origin
@@ -202,6 +203,7 @@ class _OnBoard:
     count             environments in which each body is on the board, shape [row, body]
     largest           distance from environment 0 [m], shape [row]; zero where no body is on the board
     fallen            bodies of all environments that have fallen, shape [row]; zero at rows that are not read
+    compared          bodies of other environments that `largest` is of, shape [row]; likewise
     last              the last row that was read
     """
 
@@ -210,7 +212,8 @@ class _OnBoard:
         _, n_env, bodies, width = array.shape
         self.squares, self.count = np.zeros((rows, bodies)), np.zeros((rows, bodies), dtype=np.int64)
         self.vectors = np.zeros((rows, bodies, width))
-        self.largest, self.fallen = np.zeros(rows), np.zeros(rows, dtype=np.int64)
+        self.largest = np.zeros(rows)
+        self.fallen, self.compared = np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64)
         self.last = 0
         self._following = {first: Fallen(board) for first in range(0, n_env, envs)}
         # a body that has fallen was higher once, and rows at which all environments agree are not read
@@ -236,7 +239,9 @@ class _OnBoard:
         self.count[at] += (~fallen).sum(axis=1)
         self.squares[at] += np.where(fallen, 0.0, squared).sum(axis=1)
         self.vectors[at] += np.where(fallen[..., np.newaxis], 0.0, apart).sum(axis=1)
-        here = np.where(fallen | self._zero, 0.0, squared).max(axis=(1, 2))
+        gone = fallen | self._zero
+        self.compared[at] += (~gone[:, 1 if first == 0 else 0 :]).sum(axis=(1, 2))
+        here = np.where(gone, 0.0, squared).max(axis=(1, 2))
         self.largest[at] = np.maximum(self.largest[at], np.sqrt(here))
 
 
@@ -266,7 +271,7 @@ def _result(
     finite = np.isfinite(largest) & np.isfinite(rms)
     boards = [s.on_board for s in sums if s.on_board]
     fallen = int(sum(b.fallen[b.last] for b in boards))
-    if any(b.fallen.any() for b in boards) and fallen < bodies * recording.configuration.n_env:
+    if any(b.fallen.any() for b in boards) and any(b.compared[b.last] for b in boards):
         rms, largest = _of_those_on_board(boards)
     times = np.asarray(steps * recording.configuration.dt, dtype=np.float64)
     resolutions = [s.resolution for s in sums if s.resolution is not None]

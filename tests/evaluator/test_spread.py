@@ -194,13 +194,21 @@ def test_bodies_that_fell_off_are_in_no_distance(tmp_path: Path) -> None:
         return path
 
     fell = ((0, slice(2, 3)), (1, slice(7, 8)))
-    for name, which in (("some", fell), ("none", ()), ("all", [(env, slice(0, 27)) for env in range(3)])):
+    everything = [(env, slice(0, 27)) for env in range(3)]
+    but_one = [(0, slice(0, 27)), (1, slice(0, 26)), (2, slice(0, 27))]
+    for name, which in (("some", fell), ("none", ()), ("all", everything), ("but one", but_one)):
         (tmp_path / name).mkdir()
         path = falling(*which)
         write_recording(tmp_path / name, path(grid(3), 60), steps=60, dt=0.02, path_of=path)
-    some, none, all_fell = (known(Recording(next((tmp_path / name).glob("*")))) for name in ("some", "none", "all"))
+    some, none, all_fell, one_left = (
+        known(Recording(next((tmp_path / name).glob("*")))) for name in ("some", "none", "all", "but one")
+    )
     assert (some.fallen, none.fallen, all_fell.fallen) == (2, 0, 3 * 27)
     assert some.largest[-1] == none.largest[-1] == all_fell.largest[-1] == pytest.approx(1e-8 * np.exp(10.8), rel=1e-4)
+    # the one body on the board has none to be compared with: what fell is measured, and not called equal
+    assert one_left.fallen == 3 * 27 - 1
+    assert one_left.largest[-1] == pytest.approx(4.905 * 1.2**2, rel=1e-4)
+    assert one_left.rms[-1]
     assert some.fit
     assert some.fit.rate == pytest.approx(9.0, rel=1e-4)
     # 25 bodies are on the board in three environments, two in two

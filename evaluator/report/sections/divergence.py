@@ -243,7 +243,7 @@ def _caption(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
     elif why_not := why_missing(result.metrics["divergence_rate"].value):
         said.append(f"No growth rate: {why_not.removeprefix('no rate: ')}.")
     if fallen := max(s.spread.fallen for s in _spreads(result) if s.spread):
-        said.append(f"Without bodies that fell off the board, unless all did: up to {fallen} in a run.")
+        said.append(f"Without bodies that fell off the board, unless none is left to compare: up to {fallen} in a run.")
     return " ".join(said)
 
 

@@ -1,0 +1,250 @@
+"""The figures of gsb-eval a second time, from files and the sentences of docs/, by none of the package's code."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Sequence
+from functools import cache
+from itertools import combinations, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+from scipy.stats import t as student
+
+from tests.conftest import Command
+
+Array = NDArray[np.float64]
+_RECORDINGS = Path(__file__).resolve().parents[2] / "recordings"
+_GRAVITY = 9.81
+_STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
+_SET = "h100/{}-inclined-collision-n16-r[0-4]*.mcap"
+
+
+class _File:
+    """A recording, as any reader of MCAP with the embedded schemas has it."""
+
+    def __init__(self, path: Path) -> None:
+        blocks: dict[str, list[Any]] = defaultdict(list)
+        self.messages: dict[str, list[Any]] = defaultdict(list)
+        with path.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+            self.json = {a.name: json.loads(a.data) for a in reader.iter_attachments() if a.name.endswith(".json")}
+            for _, channel, _, message in reader.iter_decoded_messages():
+                topic = channel.topic
+                (blocks if topic.startswith("/state/") else self.messages)[topic].append(message)
+        self.asked, self.scene = self.json["provenance.json"]["configuration"], self.json["scene.json"]
+        self.fields = self.json["simulation.json"]["fields"]
+        self.dt, self.n_env = self.asked["dt"], self.asked["n_env"]
+        self.raw = {}  # the engine's own numbers, [row, env, item, component]
+        for field in self.fields:
+            parts = blocks[f"/state/{field['group']}/{field['field']}/000000"]
+            rows = [np.array(b.data64 or b.data, field["dtype"]).reshape(-1, b.envs, b.items, b.width) for b in parts]
+            if rows:
+                self.raw[field["group"], field["field"]] = np.concatenate(rows)
+                self.steps = [b.first_step + i * b.stride for b in parts for i in range(b.steps)]
+
+    def of(self, group: str, field: str) -> Array:
+        return self.raw[group, field].astype(float)
+
+    def hashes(self) -> NDArray[np.uint64]:
+        """Of the state of each environment after each step, [step, env]."""
+        blocks = self.messages["/fingerprint/capture"]
+        return np.concatenate([np.array(b.hashes, np.uint64).reshape(b.steps, b.envs) for b in blocks])
+
+
+@cache
+def _files(pattern: str) -> tuple[_File, ...]:
+    return tuple(_File(path) for path in sorted(_RECORDINGS.glob(pattern)))
+
+
+def _evaluated(gsb_eval: Command, *patterns: str) -> Any:
+    paths = [path for pattern in patterns for path in sorted(_RECORDINGS.glob(pattern))]
+    return json.loads(gsb_eval(*paths, "--json", "-", "--no-cache", code=0).stdout)
+
+
+def _agrees(metric: dict[str, Any], per_run: Sequence[float], *, scale: float = 1.0) -> None:
+    """Compare a mean over runs with its delete-one-run jackknife."""
+    values = np.array(per_run) * scale
+    assert metric["extra"]["per_run"] == pytest.approx(list(values), rel=1e-9, abs=1e-12)
+    _agrees_mean(metric, values.mean(), values.std(ddof=1), [np.delete(values, r).mean() for r in range(len(values))])
+
+
+def _agrees_mean(metric: dict[str, Any], mean: float, sd: float, without: Sequence[float]) -> None:
+    left, n = np.array(without), len(without)
+    half = student.ppf(0.975, n - 1) * np.sqrt((n - 1) / n * ((left - left.mean()) ** 2).sum())
+    assert (metric["value"], metric["sd"]) == pytest.approx((mean, sd), rel=1e-9, abs=1e-12)
+    assert metric["ci95"] == (pytest.approx([max(mean - half, 0.0), mean + half], rel=1e-7, abs=1e-12) if sd else None)
+
+
+def test_time_and_memory(gsb_eval: Command) -> None:
+    """Throughput, capture overhead and three memories, from clock readings and samples."""
+    pattern = _SET.format("warp")
+    metrics = _evaluated(gsb_eval, pattern)["groups"][0]["metrics"]
+    fps, overhead, peaks = [], [], defaultdict(list)
+    for run in _files(pattern):
+        clock = run.messages["/timing/timed"]
+        begins = [i for i, m in enumerate(clock) if m.first_step == clock[0].first_step]  # each begins a window
+        ends = [i - 1 for i in (*begins[1:], 0)]
+        windows = [(clock[a].start_ns[0], clock[b].end_ns[-1]) for a, b in zip(begins, ends, strict=True)]
+        step = sum(end - begin for begin, end in windows) * 1e-9 / len(windows) / run.asked["timed_steps"]
+        fps.append(run.n_env / step)
+        (capture,) = run.messages["/timing/capture"]
+        overhead.append((capture.end_ns[-1] - capture.start_ns[0]) * 1e-9 / run.steps[-1] / step)
+        for topic in ("host", "gpu0/device", "gpu0/process"):
+            samples = run.messages[f"/memory/{topic}"]
+            timed = [s.used_bytes for s in samples if s.phase == "timed" and s.monotonic_ns <= windows[0][1]]
+            baseline = [s.used_bytes for s in samples if s.checkpoint == "baseline"]
+            peaks[topic].append(max(timed) - (0 if "process" in topic else baseline[0]))
+    _agrees(metrics["fps"], fps)
+    _agrees(metrics["capture_slowdown"], overhead)
+    _agrees(metrics["host_memory_peak_increment"], peaks["host"], scale=1e-6)
+    _agrees(metrics["memory_peak_increment"], peaks["gpu0/device"], scale=1e-9)
+    _agrees(metrics["process_memory_peak"], peaks["gpu0/process"], scale=1e-9)
+
+
+def _w1(a: Array, b: Array) -> float:
+    cost = cdist(a, b)
+    return float(cost[linear_sum_assignment(cost)].mean()) * 100.0
+
+
+def _classes(members: NDArray[np.uint64]) -> list[int]:
+    histories = [member.tobytes() for member in members]
+    return [list(dict.fromkeys(histories)).index(history) for history in histories]
+
+
+@pytest.mark.parametrize("pattern", [_SET.format("warp"), _SET.format("mjx-jax")])
+def test_distances_and_bits(gsb_eval: Command, pattern: str) -> None:
+    """W1 with and without clamp, bodies off the board, type, ULP, and classes of equal bits."""
+    metrics = _evaluated(gsb_eval, pattern)["groups"][0]["metrics"]
+    runs = _files(pattern)
+    numbers = np.stack(
+        [run.raw["cubes", "position"][run.steps.index(round(5.0 / run.dt))] for run in runs]
+    )  # of all runs at 5 s
+    positions = numbers.astype(float)
+    board = next(b for b in runs[0].scene["bodies"] if b["name"] == runs[0].scene["board"])
+    centre, half = np.array(board["position"]), np.array(board["shape"]["size"]) / 2
+    low, high = (centre - half)[:2], (centre + half)[:2]
+    free = positions[..., :2]
+    off = ((free < low) | (free > high)).any(-1) | (positions[..., 2] < centre[2] + half[2])
+    assert metrics["left_board"]["extra"]["per_run"] == off.sum(axis=(1, 2)).tolist()
+    for name, planes in (("", free), ("_clamped", np.clip(free, low, high))):
+        within = [np.mean([_w1(a, b) for a, b in combinations(p, 2)]) for p in planes]
+        _agrees(metrics["w1_parallel" + name], within)
+        pooled = planes.reshape(len(runs), -1, 2)
+        apart = {(a, b): _w1(pooled[a], pooled[b]) for a, b in combinations(range(len(runs)), 2)}
+        pairs = list(apart.values())
+        left = [np.mean([d for pair, d in apart.items() if r not in pair]) for r in range(len(runs))]
+        _agrees_mean(metrics["w1_run_to_run" + name], np.mean(pairs), np.std(pairs, ddof=1), left)
+        if not name:
+            present = round(float(np.mean(within)), 2) > 0, round(float(np.mean(pairs)), 2) > 0
+            assert metrics["regime_published"]["value"] == {(1, 0): 1, (0, 0): 2, (1, 1): 3, (0, 1): 4}[present]
+
+    hashes = np.stack([run.hashes() for run in runs])
+    for own, found in zip(hashes, metrics["distinct_envs"]["extra"]["classes"], strict=True):
+        assert found == _classes(own.T)
+    assert metrics["distinct_runs"]["extra"]["classes"] == _classes(hashes)
+    apart_at = (hashes != hashes[0]).any(axis=(0, 2))
+    assert metrics["distinct_runs"]["extra"]["first_difference_step"] == (apart_at.argmax() if apart_at.any() else None)
+    ulp = np.spacing(np.abs(numbers).max(axis=(0, 3)))[..., np.newaxis].astype(float)
+    worst = (numbers.max(axis=0).astype(float) - numbers.min(axis=0)) / ulp
+    assert metrics["equality_runs"]["extra"]["worst_ulp"] == pytest.approx(worst.max())
+
+
+def _turn(quaternion: Array) -> Rotation:
+    return Rotation.from_quat(quaternion[..., [1, 2, 3, 0]])  # from w, x, y, z
+
+
+def test_mechanics(gsb_eval: Command) -> None:
+    """Energy, displacement and penetration, from states and the geometry of the scene."""
+    checks = _evaluated(gsb_eval, "mujoco-amd-r[01].mcap")["groups"][0]["physics"]["checks"]
+    found = defaultdict(list)
+    for run in _files("mujoco-amd-r[01].mcap"):
+        kinetic, x, v, depth = 0.0, [], [], []
+        for group in ("ball", "cubes"):
+            body = next(b for b in run.scene["bodies"] if b["group"] == group)
+            position, turn, linear, spin = (run.of(group, field) for field in _STATE)
+            size = body["shape"].get("radius") or body["shape"]["size"][0]  # cubes: the same about every axis
+            inertia = body["mass"] * size**2 * (2 / 5 if group == "ball" else 1 / 6)
+            energy = body["mass"] * (_GRAVITY * position[..., 2] + (linear**2).sum(-1) / 2)
+            kinetic = kinetic + (energy + inertia * (spin**2).sum(-1) / 2).sum(-1)
+            x, v = [*x, position], [*v, linear]
+            corners = position[..., np.newaxis, :]
+            if group == "cubes":
+                axes = _turn(turn.reshape(-1, 4)).as_matrix().transpose(0, 2, 1)
+                signs = np.array(list(product((-1, 1), repeat=3))) * size / 2
+                corners = corners + (signs @ axes).reshape(*position.shape[:3], 8, 3)
+            for fixed in (b for b in run.scene["bodies"] if not b["group"]):
+                local = (corners - fixed["position"]) @ _turn(np.array(fixed["orientation"])).as_matrix()
+                beyond = np.abs(local) - np.array(fixed["shape"]["size"]) / 2
+                apart = np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(-1), 0)
+                depth.append(((size if group == "ball" else 0.0) - apart).max(axis=(0, 2, 3)))
+        found["depth_ever"] += list(np.maximum(np.max(depth, axis=0), 0))
+        found["energy_above_start"] += list((kinetic - kinetic[0]).max(axis=0))
+        moved, speed = np.diff(np.concatenate(x, axis=2), axis=0), np.concatenate(v, axis=2)
+        far = np.linalg.norm(moved - (speed[1:] + speed[:-1]) * run.dt / 2, axis=-1)
+        beyond = far - np.linalg.norm(np.diff(speed, axis=0), axis=-1) * run.dt / 2
+        found["displacement"] += list(np.maximum(beyond.max(axis=(0, 2)), 0))
+    for name, values in found.items():
+        by_hand = pytest.approx((np.mean(values), np.max(values)), rel=1e-6, abs=1e-14)
+        assert (checks[name]["mean"], checks[name]["most"]) == by_hand, name
+
+
+def test_tosses(gsb_eval: Command) -> None:
+    """Errors against the reference, toss by toss over its own rows, and W1 to it."""
+    pattern = "cube-toss/warp-cube-toss-n48-r*.mcap"
+    document = _evaluated(gsb_eval, pattern, "cube-toss/real-*.mcap")
+    metrics = document["groups"][0]["metrics"]
+    run, (real,) = _files(pattern)[0], _files("cube-toss/real-*.mcap")
+    body = next(b for b in run.scene["bodies"] if b["group"])
+    mass, edge = body["mass"], body["shape"]["size"][0]
+    errors = []
+    for toss, rows in enumerate(real.json["tosses.json"]["rows"]):
+        at = [i for i, step in enumerate(run.steps) if step < rows]
+        sides = []
+        for file, index in ((run, at), (real, [run.steps[i] for i in at])):
+            p, q, v, w = (file.of("cubes", field)[index, toss, 0] for field in _STATE)
+            energy = mass * (_GRAVITY * p[:, 2] + (v**2).sum(-1) / 2) + mass * edge**2 / 12 * (w**2).sum(-1)
+            sides.append((p, _turn(q), energy))
+        (p, turn, energy), (true_p, true_turn, true_energy) = sides
+        apart, angle = np.linalg.norm(p - true_p, axis=-1) * 100, np.degrees((turn * true_turn.inv()).magnitude())
+        up, true_up = (side[-1].as_matrix()[2] for side in (turn, true_turn))  # the vertical, seen by the cube
+        face = np.abs(up).argmax()
+        errors.append({
+            "position": apart[1:].mean(), "end_position": apart[-1],
+            "rotation": angle[1:].mean(), "end_rotation": angle[-1],
+            "energy": np.abs(energy - true_energy)[1:].mean() * 1000,
+            "face": 100.0 * (face == np.abs(true_up).argmax() and up[face] * true_up[face] > 0),
+            "depth": max(0.0, (np.abs(turn.as_matrix()[:, 2]).sum(-1) * edge / 2 - p[:, 2]).max()) * 1000,
+        })  # fmt: skip
+    for name in errors[0]:
+        assert metrics[f"toss_{name}"]["value"] == pytest.approx(np.mean([e[name] for e in errors]), rel=1e-6), name
+    at_step = round(document["sample_time_s"] / real.dt)
+    own, other = (f.of("cubes", "position")[f.steps.index(at_step)][:, 0, :2] for f in (run, real))
+    assert metrics["w1_real"]["value"] == pytest.approx(_w1(own, other), rel=1e-9)
+
+
+def test_memory_model_and_price(gsb_eval: Command) -> None:
+    """The line through the memory of a sweep, its largest N, and the ratio of two levels of determinism."""
+    document = _evaluated(gsb_eval, "prices-h100/mjx-jax-*.mcap", "sweeps-h100/physx-free-fall-*.mcap")
+    (sweep,) = (s for s in document["sweeps"] if s["scene"] == "free-fall")
+    memory = {p["n_env"]: p["memory_peak_increment"] * 1e9 for p in sweep["points"] if p["memory_peak_increment"]}
+    n, m = np.array(list(memory), float), np.array(list(memory.values()))
+    fitted = np.polyfit(n, m, 1, w=1 / m)  # least squares of relative errors
+    model = sweep["memory_models"]["memory_peak_increment"]
+    assert [model["per_env_bytes"], model["fixed_bytes"]] == pytest.approx(list(fitted), rel=1e-6)
+    files = _files("sweeps-h100/physx-free-fall-*.mcap")
+    assert sweep["n_env_max"] == max(f.n_env for f in files if f.messages["/run/end"][0].status == 1)
+    fps = {g["label"]: g["metrics"]["fps"]["value"] for g in document["groups"]}
+    (price,) = document["price_list"]
+    for level in price["levels"]:
+        ratio = fps[level["group"]] / fps[price["default"]["group"]]
+        assert level["throughput_of_default"]["ratio"] == pytest.approx(ratio, rel=1e-12)
