@@ -134,14 +134,13 @@ def valid(results: Results) -> Cell:
     if invalid:
         return Cell("no", notes=(f"{invalid} of {len(runs)} INVALID",), tone=Tone.BAD)
     other = sum(not run.usable for run in runs)
-    told = [r.validity.overflow is not None for r in results]
     failed = (f"{other} of {plural(len(runs), 'run')} failed",) if other else ()
     if other == len(runs):
         return Cell("not known", notes=failed, tone=Tone.QUIET)
-    if not any(told):
+    if all(r.validity.overflow is None for r in results):
         why = "overflow is not reported" if len(results) == 1 else "not reported"
         return Cell("not known", notes=(why, *failed), tone=Tone.QUIET)
-    if not all(tells for tells, r in zip(told, results, strict=True) if r.group.complete):
+    if any(r.group.complete and r.validity.overflow is None for r in results):
         failed = ("partly not reported", *failed)
     return Cell("yes", notes=failed, tone=Tone.WARNING if failed else Tone.GOOD)
 
