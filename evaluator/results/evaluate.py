@@ -264,13 +264,17 @@ def _use_reference(run: Run) -> tuple[Reference | None, str]:
         planar = run.positions.planar
     elif tosses:  # each has an end of its own, whatever the sample time is
         planar = tosses.motion.position[-1][:, np.newaxis, :2]
+    elif not isinstance(run.joints, Missing) and run.joints.any:
+        planar = np.zeros((c.n_env, 0, 2))
     else:
         return None, f"the reference {name} cannot be used: {run.positions.reason}"
     if run.doubt and run.doubt.wrong:
         return None, f"the reference {name} cannot be used: {run.doubt.text}: record it again with --unit"
     label = tosses.name() if tosses else plural(len(planar), "real trial") if measured else ""
     label = label or f"{c.simulator} with {plural(c.n_env, 'env')}, dt {c.dt:g} s"
-    return Reference(label, run.path, run.provenance.run_id, measured, c.scene, planar, tosses=tosses), ""
+    return Reference(
+        label, run.path, run.provenance.run_id, measured, c.scene, planar, tosses=tosses, joints=run.joints
+    ), ""
 
 
 def _toss_errors(

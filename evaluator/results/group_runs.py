@@ -17,6 +17,7 @@ from gpusimbench.evaluator.metrics.lost_cubes import clamped
 from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors, TrackingFloor
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
+from gpusimbench.evaluator.runs.positions import NO_JOINTS, JointSample
 from gpusimbench.evaluator.runs.state_hashes import side_by_side
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
 from gpusimbench.schemas.gathering import gathered
@@ -154,16 +155,17 @@ class GroupRuns:
 
 @dataclass(frozen=True)
 class Reference:
-    """The positions that simulations are compared with.
+    """The positions and joints that simulations are compared with.
 
     label      what they are
     path       of the recording
     run_id     of the recording
     measured   True for real trials, False for another simulation
     scene      that they belong to
-    positions  [m], shape [trial, item, 2]
+    positions  [m], shape [trial, item, 2]; no item where it has joints alone
     density    on the shared grid
     tosses     measured motions of a thrown cube; None where it has none
+    joints     at the sample step, or why there are none
     """
 
     label: str
@@ -174,3 +176,4 @@ class Reference:
     positions: NDArray[np.float64]
     density: Density | None = None
     tosses: MeasuredTosses | None = None
+    joints: JointSample | Missing = NO_JOINTS
