@@ -227,8 +227,9 @@ class Simulation(EngineFacts):
     fresh_start: str = "rebuilt"
 
     def to_json(self) -> str:
-        """As the text of the attachment."""
-        return _dump(asdict(self))
+        """As the text of the attachment, with the origin of each environment on one line: MCAP compresses no
+        attachments, and on three lines an origin has 1.6 times the bytes."""
+        return _TRIPLE.sub(r"[\1, \2, \3]", _dump(asdict(self)))
 
     @classmethod
     def from_json(cls, text: str | bytes, budget: checks.Budget | None = None) -> Simulation:
@@ -337,6 +338,10 @@ def _buffer(record: dict[str, Any]) -> Buffer:
 def _point(value: Any) -> tuple[float, float, float]:
     x, y, z = checks.vector(value, 3, "an env origin")
     return x, y, z
+
+
+_TRIPLE = re.compile(r"\[\n +([^][{}\s\",]+),\n +([^][{}\s\",]+),\n +([^][{}\s\",]+)\n +\]")
+"""A list of three numbers as json.dumps indents it; no string of JSON has an end of line in it."""
 
 
 def _dump(record: dict[str, Any]) -> str:

@@ -203,6 +203,23 @@ def test_a_function_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         sys.modules.pop(name)
 
 
+def test_a_task_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Import the module before an id from the present folder, as --make does."""
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path not in ("", str(tmp_path))])
+    (tmp_path / "my_tasks.py").write_text(
+        "import gymnasium\n\ngymnasium.register('Mine-v0', 'gymnasium.envs.mujoco.half_cheetah_v5:HalfCheetahEnv')\n"
+    )
+    path = recording_of("HalfCheetah-v5")
+    try:
+        task = ("--env", "my_tasks:Mine-v0", "--set", "max_episode_steps=15")
+        done = call("gsb-replay", path, *task, "--out", "b.mcap", code=0, cwd=tmp_path)
+    finally:
+        gymnasium.registry.pop("Mine-v0", None)
+        sys.modules.pop("my_tasks", None)
+    assert "replaying in 2 environments my_tasks:Mine-v0" in done.stderr
+    assert "replay bit for bit" in done.stdout
+
+
 def test_what_cannot_be_replayed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Say in a line what is wrong: other actions, no such keyword, an environment that fails, no episodes."""
     monkeypatch.setattr(sys, "path", [*sys.path])

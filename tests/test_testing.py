@@ -71,8 +71,11 @@ def test_a_changed_bit_is_found(
     if np.dtype(dtype).kind == "f":
         one, another = a[at].reshape(1), b[at].reshape(1)
         ulp = int(ulp_distance(one, another)[0])
-        assert f"{ulp:,} ULP" in said or f"{ulp:.2e} ULP" in said or opposite_signs(one, another)[0]
-        assert (f"the signs differ ({a[at]!s} and {b[at]!s})" in said) == opposite_signs(one, another)[0]
+        zero = (a[at] == 0) != (b[at] == 0)
+        signs = opposite_signs(one, another)[0] and not zero
+        assert (f"{ulp:,} ULP" in said or f"{ulp:.2e} ULP" in said) != (signs or zero)
+        assert (f"the signs differ ({a[at]!s} and {b[at]!s})" in said) == signs
+        assert (f"one is zero ({a[at]!s} and {b[at]!s})" in said) == zero
     else:
         assert "ULP" not in said
         assert f"): {abs(int(a[at]) - int(b[at])):.3g}" in said

@@ -109,12 +109,18 @@ def amount(value: float | None, unit: str) -> str:
 def in_ulps(number: Number, *, named: bool = False) -> str:
     """How far two numbers are apart in units in the last place; empty where nothing tells it.
 
-    named  the sentence names both; otherwise they are named here where the signs differ
+    Where one is zero or the signs differ, the count is of all numbers down to zero, so this is said in its place.
+
+    named  the sentence names both; otherwise they are named here where they are not counted
     """
     if number.ulp is None:
         return ""
-    if opposite_signs(*(np.array([float(text)]) for text in (number.a, number.b)))[0]:
-        return f"the signs differ{'' if named else f' ({number.a} and {number.b})'}"
+    a, b = float(number.a), float(number.b)
+    said = "one is zero" if (a == 0) != (b == 0) else ""
+    if not said and opposite_signs(np.array([a]), np.array([b]))[0]:
+        said = "the signs differ"
+    if said:
+        return said if named else f"{said} ({number.a} and {number.b})"
     return f"{ulps(number.ulp)} ULP"
 
 

@@ -31,7 +31,8 @@ from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import DEMANDED, CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
-from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
+from gpusimbench.evaluator.results.joint_metrics import BETWEEN_ENVS, BETWEEN_RUNS
+from gpusimbench.evaluator.results.joint_metrics import TO_REFERENCE as JOINTS_TO_REFERENCE
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
@@ -101,7 +102,10 @@ def _says(result: GroupResult) -> str:
 
 def _one(result: GroupResult) -> Facts:
     answers = [(q.title, _joined(q.answer([result]))) for q in QUESTIONS]
-    if any(known(result.metrics[metric.name].value) is not None for metric in (W1_REAL, TOSS_LOCAL_POSITION)):
+    if any(
+        known(result.metrics[metric.name].value) is not None
+        for metric in (W1_REAL, TOSS_LOCAL_POSITION, *JOINTS_TO_REFERENCE)
+    ):
         answers.append((TO_REFERENCE.title, _joined(TO_REFERENCE.answer([result]))))
     figures = [
         (metric.titled, _line(_fps(result) if metric is FPS else estimate(result.metrics[metric.name])))
@@ -111,7 +115,7 @@ def _one(result: GroupResult) -> Facts:
     ]
     apart = [
         (metric.titled, _line(estimate(result.metrics[metric.name])))
-        for metric in (W1_PARALLEL, W1_RUN_TO_RUN, *JOINT_METRICS)
+        for metric in (W1_PARALLEL, W1_RUN_TO_RUN, *BETWEEN_ENVS, *BETWEEN_RUNS)
         if known(result.metrics[metric.name].value)
     ]
     one_more = another_run(result)
@@ -268,7 +272,8 @@ def _troubles(evaluation: Evaluation) -> Iterator[Text]:
     if len(lines) > 1:
         yield Text(f"{len(lines) - 1} more reasons why throughputs cannot be compared: --all", Tone.WARNING)
     if reference := evaluation.reference:
-        what = "mean error of position against" if reference.tosses else "W1 to"
+        distance = "W1 to" if reference.positions.size else "in joint space, to"
+        what = "mean error of position against" if reference.tosses else distance
         yield Text(f"distance: {what} {cut(reference.label, _LABEL)}", Tone.QUIET)
     elif not evaluation.of_programs:
         yield Text(f"no distance to reality: {evaluation.reference_note}", Tone.QUIET)

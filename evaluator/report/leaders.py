@@ -99,8 +99,10 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
         measured = [r for r in measured if known(r.metrics[TOSS_POSITION.name].value) is not None]
         against = {r.label: speaks_against(r, results) for r in measured}
         if accurate := ranked([r for r in measured if not against[r.label]]):
-            errs = {configuration(r): against[r.label] for r in measured}
-            errs |= {configuration(one.result): one.less_accurate for one in accurate}
+            errs = {
+                **{configuration(r): against[r.label] for r in measured},
+                **{configuration(one.result): one.less_accurate for one in accurate},
+            }
             faults |= {r.label: errs.get(configuration(r), _UNKNOWN) for r in alike if not faults[r.label]}
         sound = _best([r for r in alike if not faults[r.label]], scene, device)
         kinds = {r.label: _kind(r, faults[r.label], results) for r in alike if faults[r.label]}

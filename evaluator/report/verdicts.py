@@ -18,6 +18,7 @@ from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import REGIME, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
 from gpusimbench.evaluator.results.joint_metrics import BETWEEN_ENVS, BETWEEN_RUNS
+from gpusimbench.evaluator.results.joint_metrics import TO_REFERENCE as JOINTS_TO_REFERENCE
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_LOCAL_POSITION, TOSS_POSITION, TOSS_ROTATION
@@ -134,14 +135,13 @@ def valid(results: Results) -> Cell:
     if invalid:
         return Cell("no", notes=(f"{invalid} of {len(runs)} INVALID",), tone=Tone.BAD)
     other = sum(not run.usable for run in runs)
-    told = [r.validity.overflow is not None for r in results]
     failed = (f"{other} of {plural(len(runs), 'run')} failed",) if other else ()
     if other == len(runs):
         return Cell("not known", notes=failed, tone=Tone.QUIET)
-    if not any(told):
+    if all(r.validity.overflow is None for r in results):
         why = "overflow is not reported" if len(results) == 1 else "not reported"
         return Cell("not known", notes=(why, *failed), tone=Tone.QUIET)
-    if not all(tells for tells, r in zip(told, results, strict=True) if r.group.complete):
+    if any(r.group.complete and r.validity.overflow is None for r in results):
         failed = ("partly not reported", *failed)
     return Cell("yes", notes=failed, tone=Tone.WARNING if failed else Tone.GOOD)
 
@@ -165,7 +165,8 @@ def real(results: Results) -> Cell:
     """How far positions are from the reference: the smallest and the largest distance of the groups [cm].
 
     Against measured tosses it is the error of position, which compares each toss with its own simulation; of runs that
-    are set to measured states on the way, the smallest local error.
+    are set to measured states on the way, the smallest local error. Without positions, it is that of joints [rad], or
+    of joints that slide [cm].
     """
     tossed = [r.metrics[TOSS_POSITION.name] for r in results if known(r.metrics[TOSS_POSITION.name].value) is not None]
     if len(results) == 1 and tossed:
@@ -182,9 +183,18 @@ def real(results: Results) -> Cell:
     found = tossed or [r.metrics[W1_REAL.name] for r in results]
     values = sorted(value for one in found if (value := known(one.value)) is not None)
     if not values:
-        return Cell(NOT_COMPARED, tone=Tone.QUIET)
+        return _joints_to_reference(results)
     span = distance(values[0]) if values[0] == values[-1] else f"{distance(values[0])} to {distance(values[-1])}"
     return Cell(f"{span} cm", values[0])
+
+
+def _joints_to_reference(results: Results) -> Cell:
+    for metric in JOINTS_TO_REFERENCE:
+        values = sorted(value for r in results if (value := known(r.metrics[metric.name].value)) is not None)
+        if values:
+            span = " to ".join(dict.fromkeys(figure(value, metric.unit) for value in (values[0], values[-1])))
+            return Cell(f"{span} {metric.unit}", values[0])
+    return Cell(NOT_COMPARED, tone=Tone.QUIET)
 
 
 QUESTIONS = (
@@ -214,7 +224,10 @@ QUESTIONS = (
 LAWS = Question("laws in closed form", "yes: what is known exactly of a motion comes out, where there is a law", kept)
 
 TO_REFERENCE = Question(
-    "distance to the reference", "W1 to the reference at the sample time, best to worst", real, "distance"
+    "distance to the reference",
+    "W1 to the reference, or distance in joint space, at the sample time, best to worst",
+    real,
+    "distance",
 )
 
 

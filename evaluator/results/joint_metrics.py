@@ -17,6 +17,7 @@ from gpusimbench.evaluator.metrics.joints import (
     JointSpace,
     distance_between_envs,
     distances_between_runs,
+    joint_distance,
 )
 from gpusimbench.evaluator.metrics.variability import CM_PER_M
 from gpusimbench.evaluator.missing import Missing
@@ -24,15 +25,17 @@ from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, differ, ends_o
 from gpusimbench.evaluator.results.details import JointsBetweenEnvs, JointsBetweenRuns
 from gpusimbench.evaluator.results.group_runs import GroupRuns, named
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, over_runs
+from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.runs.positions import Joints
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
+from gpusimbench.schemas.text import plural
 
-_UNITS: dict[str, tuple[Callable[[Run], Joints | Missing], float]] = {
+_UNITS: dict[str, tuple[Callable[[Run | Reference], Joints | Missing], float]] = {
     "rad": (lambda run: run.joints if isinstance(run.joints, Missing) else run.joints.turning, 1.0),
     "cm": (lambda run: run.joints if isinstance(run.joints, Missing) else run.joints.sliding, CM_PER_M),
 }
-"""By the unit of a metric: the joints of a run that it is of, and how many of the unit are one of theirs."""
+"""By the unit of a metric: its joints of a run, or of a reference, and how many of the unit are one of theirs."""
 
 
 def joint_spaces(runs: Runs, unit: str) -> list[JointSpace] | Missing:
@@ -76,6 +79,34 @@ def _between_envs(unit: str, group: GroupRuns) -> list[float | Missing]:
     return [found.get(id(run), Missing("the sample step was not recorded")) for run in group.runs]
 
 
+def _to_reference(unit: str, group: GroupRuns) -> list[float | Missing]:
+    """Of every run: each environment is compared with the same environment of the reference."""
+    of, scale = _UNITS[unit]
+    reference = group.reference
+    if isinstance(reference, Missing):
+        return [reference] * len(group.runs)
+    if reference.scene != group.scene:
+        return [Missing(f"the reference is of scene {reference.scene}")] * len(group.runs)
+    target = of(reference)
+    return [_from_target(of(run), target, scale) for run in group.runs]
+
+
+def _from_target(found: Joints | Missing, target: Joints | Missing, scale: float) -> float | Missing:
+    if isinstance(found, Missing):
+        return found
+    if isinstance(target, Missing):
+        return Missing(f"of the reference: {target.reason}")
+    if len(found.space) != len(target.space):
+        return Missing(f"the reference has {plural(len(target.space), 'env')}, this group {len(found.space)}")
+    hinges = found.space.coordinates.shape[1]
+    if sorted(found.names) != sorted(target.names) or target.space.coordinates.shape[1] != hinges:
+        return Missing("the reference has other joints")
+    places = [target.names.index(name) for name in found.names]
+    balls = [place - hinges for place in places[hinges:]]
+    ordered = JointSpace(target.space.coordinates[:, places[:hinges]], target.space.balls[:, balls])
+    return float(joint_distance(found.space, ordered).mean()) * scale
+
+
 def _bits(space: JointSpace) -> tuple[bytes, bytes]:
     return space.coordinates.tobytes(), space.balls.tobytes()
 
@@ -115,7 +146,7 @@ def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     )
 
 
-def _between_envs_and_runs(unit: str, name: str, what: str, joints: str) -> tuple[Metric, Metric]:
+def _of_joints(unit: str, name: str, what: str, joints: str) -> tuple[Metric, Metric, Metric]:
     of = f"root mean square over {joints}"
     return (
         Metric(
@@ -134,13 +165,21 @@ def _between_envs_and_runs(unit: str, name: str, what: str, joints: str) -> tupl
             table=Table.VARIABILITY, of_group=_run_to_run,
             interval="delete-one-run jackknife of a mean over pairs", optional=True, axis=Axis.VARIABILITY,
         ),
+        Metric(
+            f"joint_{name}_real", f"{what} to the reference", unit, Direction.LOWER,
+            f"the counterpart of `w1_real` in [joint space](#joint-space): {of} of the difference between an "
+            "environment and the same environment of the reference, mean over environments. Mean over runs",
+            method=f"{of} of the difference to the same environment of the reference, mean over environments",
+            table=Table.VARIABILITY, values=partial(_to_reference, unit), details=partial(_joints, unit),
+            interval="delete-one-run jackknife", optional=True,
+        ),
     )  # fmt: skip
 
 
 JOINT_METRICS = (
-    *_between_envs_and_runs("rad", "angle", "joint angles", "hinges and ball joints"),
-    *_between_envs_and_runs("cm", "slide", "sliding joints", "sliding joints"),
+    *_of_joints("rad", "angle", "joint angles", "hinges and ball joints"),
+    *_of_joints("cm", "slide", "sliding joints", "sliding joints"),
 )
-"""Of joints that turn, and of joints that slide: between environments, between runs."""
+"""Of joints that turn, and of joints that slide: between environments, between runs, to the reference."""
 
-BETWEEN_ENVS, BETWEEN_RUNS = JOINT_METRICS[::2], JOINT_METRICS[1::2]
+BETWEEN_ENVS, BETWEEN_RUNS, TO_REFERENCE = JOINT_METRICS[::3], JOINT_METRICS[1::3], JOINT_METRICS[2::3]

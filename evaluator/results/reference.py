@@ -12,6 +12,7 @@ from gpusimbench.evaluator.metrics.density import Density
 from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.positions import NO_JOINTS, JointSample
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses, errors_of, local_errors_of, measured_tosses
 from gpusimbench.schemas.errors import DamagedRecording
@@ -23,16 +24,17 @@ from gpusimbench.schemas.text import plural
 
 @dataclass(frozen=True)
 class Reference:
-    """The positions that simulations are compared with.
+    """The positions and joints that simulations are compared with.
 
     label      what they are
     path       of the recording
     run_id     of the recording
     measured   True for real trials, False for another simulation
     scene      that they belong to
-    positions  [m], shape [trial, item, 2]
+    positions  [m], shape [trial, item, 2]; no item where it has joints alone
     density    on the shared grid
     tosses     measured motions of a thrown cube; None where it has none
+    joints     at the sample step, or why there are none
     """
 
     label: str
@@ -43,6 +45,7 @@ class Reference:
     positions: NDArray[np.float64]
     density: Density | None = None
     tosses: MeasuredTosses | None = None
+    joints: JointSample | Missing = NO_JOINTS
 
 
 @dataclass(frozen=True)
@@ -106,13 +109,17 @@ def _reference(run: Run) -> Reference | Missing:
         planar = run.positions.planar
     elif tosses:  # each has an end of its own, whatever the sample time is
         planar = tosses.motion.position[-1][:, np.newaxis, :2]
+    elif not isinstance(run.joints, Missing) and run.joints.any:
+        planar = np.zeros((c.n_env, 0, 2))
     else:
         return Missing(f"cannot be used: {run.positions.reason}")
     if run.doubt and run.doubt.wrong:
         return Missing(f"cannot be used: {run.doubt.text}: record it again with --unit")
     label = tosses.name() if tosses else plural(len(planar), "real trial") if measured else ""
     label = label or f"{c.simulator} with {plural(c.n_env, 'env')}, dt {c.dt:g} s"
-    return Reference(label, run.path, run.provenance.run_id, measured, c.scene, planar, tosses=tosses)
+    return Reference(
+        label, run.path, run.provenance.run_id, measured, c.scene, planar, tosses=tosses, joints=run.joints
+    )
 
 
 def toss_errors(

@@ -152,6 +152,11 @@ class JointSample:
     turning: Joints | Missing
     sliding: Joints | Missing
 
+    @property
+    def any(self) -> bool:
+        """Whether there is a joint of either kind."""
+        return not (isinstance(self.turning, Missing) and isinstance(self.sliding, Missing))
+
 
 def sample_joints(recording: Recording, sample_time: float) -> JointSample:
     """The joints at step round(sample_time / dt), or the reasons why there are none."""

@@ -16,6 +16,10 @@ sweeps:
   To continue a sweep, repeat the command with the same --out: existing recordings are kept. Two commands cannot record
   the same sweep in one folder at once: the second ends with exit code 1 and names the process of the first.
 
+sets of runs:
+  To continue an interrupted set, repeat the command with the same --out: only the runs that are not there are made. If
+  the folder holds all --runs, the command makes as many again. After a refusal, all runs are made anew.
+
 replays:
   --replay FILE repeats the run of a recording on this machine, with the recorded configuration, which is printed first
   and checked like arguments. The scene must be the same. --option (and --impl, --device...) replaces recorded options,

@@ -6,7 +6,7 @@ from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.interruption import shielded
@@ -20,6 +20,9 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import ReplayOf
 from gpusimbench.schemas.text import few, plural
+
+if TYPE_CHECKING:
+    from gpusimbench.recorder.sets.finished import Finished
 
 Json = dict[str, Any]
 
@@ -102,22 +105,30 @@ class Here:
 
 
 def record_set(request: Request, count: int, maker: Maker) -> tuple[int, Json]:
-    """Make so many equal runs; returns the exit code and the results."""
+    """Make so many equal runs; returns the exit code and the results.
+
+    If the folder holds only a part of the runs, the others are made; if it holds all, it is given a set more. Replays
+    are always made.
+    """
     planned = runs(request.configuration, count)
     prepare_folder(request.out)
     c = request.configuration
+    there = {} if request.replay_of else _part_of_a_set(request, count, maker)
+    planned = [run for run in planned if run.run_index not in there]
     title = f"{c.simulator}, {c.scene}, {plural(c.n_env, 'env')}, dt {c.dt:g} s, {plural(count, 'run')}"
-    code = ExitCode.OK
+    if there:
+        title += f", {len(there)} of them in {request.out} already"
+    code = ExitCode.OK if all(f.outcome.good for f in there.values()) else ExitCode.FAILURE
     refused = False
-    results = []
+    results = [{**_json(f.configuration, f.path, f.outcome), "found": True} for f in there.values()]
     with (
         Interruptions() as interruptions,
-        make_progress(title, count) as progress,
+        make_progress(title, count, len(there)) as progress,
         closing(maker.make(request, planned, progress, interruptions)) as made,
     ):
         for run, result in made:
             _show(request, result, progress)
-            results.append(_json(run, result.path, _outcome(result)))
+            results.append({**_json(run, result.path, _outcome(result)), "found": False})
             code = max(code, result.exit_code)
             refused = result.cause == "REFUSED"
             if refused or result.exit_code == ExitCode.USAGE or result.status == "stopped":  # so would the next
@@ -125,9 +136,27 @@ def record_set(request: Request, count: int, maker: Maker) -> tuple[int, Json]:
     if refused and (spared := count - len(results)):
         say(f"{spared} of {count} runs are not made: they would be refused as this one was")
     if interruptions.count:
-        say(f"interrupted: {len(results)} of {count} runs were started")
+        say(f"interrupted: {len(results)} of {count} runs were started; the same command makes the others")
         code = max(code, ExitCode.FAILURE)
     return int(code), {"runs": sorted(results, key=lambda result: int(result["run"]))}
+
+
+def _part_of_a_set(request: Request, count: int, maker: Maker) -> dict[int, Finished]:
+    # by run: what the folder holds of a set that was cut short; nothing where the set is complete. A refusal ended its
+    # set, and the user, who calls again, may have changed its cause.
+    with shielded():
+        from gpusimbench.recorder.sets.finished import matching, read_folder
+
+    found, _ = read_folder(request.out)
+    if not matching(found, request.configuration):
+        return {}
+    n_env = request.configuration.n_env
+    there = {
+        place.run_index: run
+        for place, run in matching(found, request.configuration, maker.where()).items()
+        if place.n_env == n_env and place.run_index < count and run.outcome.cause != "REFUSED"
+    }
+    return there if len(there) < count else {}
 
 
 def record_sweep(request: Request, sweep: Sweep, maker: Maker) -> tuple[int, Json]:

@@ -23,6 +23,8 @@ _OF_PACKAGES = {STATED: stated, SUITED: suited}
 def registered(spec_id: str, keywords: Mapping[str, Any], n_env: int, *, vectorization: str = "sync") -> Any:
     """Environments of Gymnasium's registry, in this process, whose user resets them where they can be made so.
 
+    spec_id        "module:id" if the user names a module that registers the id, in the present folder or installed; ids
+                   of files name no module (gpusimbench.replay.origin)
     vectorization  "vector_entry_point" for tasks that have a vector environment of their own, which resets itself;
                    STATED or SUITED for those of ManiSkill and robosuite, see recorder.vector.maniskill and robosuite
 
@@ -33,6 +35,8 @@ def registered(spec_id: str, keywords: Mapping[str, Any], n_env: int, *, vectori
         "vector_kwargs": {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED},
         "wrappers": [Started],
     }
+    if ":" in spec_id:
+        _search_the_present_folder()
     try:
         if vectorization in _OF_PACKAGES:
             return _OF_PACKAGES[vectorization](spec_id, keywords, n_env)
@@ -62,9 +66,7 @@ def of_factory(name: str, n_env: int) -> Any:
     module, _, function = name.partition(":")
     if not module or not function:
         raise UsageError(f"--make takes MODULE:FUNCTION, not '{name}'")
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)  # last, so that no file there hides a package
+    _search_the_present_folder()
     try:
         made = getattr(import_module(module), function)(n_env)
     except (Exception, SystemExit) as error:  # SystemExit: a script without a guard of its main part
@@ -72,3 +74,9 @@ def of_factory(name: str, n_env: int) -> Any:
     if not hasattr(made, "num_envs"):
         raise UsageError(f"--make {name} made {type(made).__name__}, and no VectorEnv")
     return made
+
+
+def _search_the_present_folder() -> None:
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # last, so that no file there hides a package

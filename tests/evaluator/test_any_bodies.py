@@ -21,7 +21,8 @@ from gpusimbench.evaluator.metrics.joints import (
     joint_distance,
 )
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.report.verdicts import alike, repeats
+from gpusimbench.evaluator.report.verdicts import alike, real, repeats
+from gpusimbench.evaluator.results.details import JointsBetweenEnvs
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.runs.outcome import outcome_of
 from gpusimbench.evaluator.runs.positions import sample_positions
@@ -385,10 +386,56 @@ def test_the_protocol_is_for_the_benchmark(tmp_path: Path) -> None:
 
 
 def test_reference_without_bodies(tmp_path: Path) -> None:
-    """Say that a recording without bodies is no reference for positions."""
+    """Take a recording of joints alone as a reference for joints, and one of neither joints nor bodies as none."""
     files = runs(tmp_path, pendulum(), 3)
     evaluation = evaluate(files[:2], reference=files[2])
-    assert "cannot be used: no positions of free bodies" in evaluation.reference_note
+    (result,) = evaluation.results
+    ends = [states(pendulum(), run)[0][20, :, :, 0] for run in range(3)]
+    far = [np.abs(end - ends[2]).mean() for end in ends[:2]]
+    found = result.metrics["joint_angle_real"]
+    assert found.value == pytest.approx(np.mean(far)) and min(far) > 0
+    assert found.of(JointsBetweenEnvs).per_run == pytest.approx(far)
+    assert result.metrics["joint_slide_real"].value == Missing("no joint slides: those that were recorded are in rad")
+    assert "needs a group" in str(result.metrics["w1_real"].value)
+    assert real([result]).text == f"{found.value:.3g} rad"
+    said = call("gsb-eval", *files[:2], "--reference", files[2], code=0).stdout
+    assert f"distance to the reference {found.value:.3g} rad" in " ".join(said.split())
+    assert "distance: in joint space, to mine with" in said
+    rate = StateField("joints", "qvel", "float64", ("a",), ("rate",), "rad/s", "joint")
+    speeds = write(tmp_path, Layout("pendulum", (rate,)), 9, simulator="b")
+    assert "cannot be used: no positions" in evaluate(files[:2], reference=speeds).reference_note
+
+
+def test_joints_to_a_reference_are_matched_by_name(tmp_path: Path) -> None:
+    """Compare each joint with the one of its name in any order; give no distance of other joints or envs."""
+    names = ("a", "b", "c")
+    draw = np.random.default_rng(1)
+    angles, balls = draw.standard_normal((2, 4, 3, 1)), draw.standard_normal((2, 4, 2, 4))
+    balls /= np.linalg.norm(balls, axis=-1, keepdims=True)
+
+    def made(name: str, order: list[int], envs: int = 4, names: tuple[str, ...] = names, shift: float = 0.0) -> Path:
+        fields = (
+            joint_field("joints", "qpos", "float64", tuple(names[k] for k in order)),
+            ball_fields("balls", "float64", ("left", "right") if order[0] == 0 else ("right", "left"))[0],
+        )
+        turned = balls if order[0] == 0 else balls[:, :, ::-1]
+        with RecordingWriter(
+            tmp_path / f"{name}.mcap", simulator=name, version="1", scene="arm", n_env=envs, dt=0.1, steps=1,
+            fields=fields,
+        ) as log:  # fmt: skip
+            log.append(angles[:, :envs][:, :, order] + shift, turned[:, :envs])
+        return tmp_path / f"{name}.mcap"
+
+    def distance(reference: Path) -> Any:
+        (result,) = evaluate([one], reference=reference).results
+        return result.metrics["joint_angle_real"].value
+
+    one = made("one", [0, 1, 2])
+    assert distance(made("same", [2, 1, 0])) == 0.0
+    assert distance(made("moved", [2, 0, 1], shift=0.5)) == pytest.approx(np.sqrt(3 * 0.25 / 5))
+    assert distance(made("fewer", [0, 1, 2], envs=3)) == Missing("the reference has 3 envs, this group 4")
+    assert distance(made("other", [0, 1, 2], names=("a", "b", "d"))) == Missing("the reference has other joints")
+    assert distance(made("less", [0, 1])) == Missing("the reference has other joints")
 
 
 def test_a_ball_joint_that_is_no_rotation(tmp_path: Path) -> None:

@@ -221,6 +221,17 @@ def test_what_has_no_verdict_says_why(five: list[Recording]) -> None:
     assert nothing.meets(AuditLevel.SAME_DISTRIBUTION) is None
 
 
+def test_the_first_difference_names_each_number_once(five: list[Recording]) -> None:
+    """Say that the signs differ beside both numbers, and do not repeat the numbers there."""
+    found = compare(five[0], five[4])
+    assert found.first is not None and found.first.state is not None
+    number = replace(found.first.state.number, a="0.25", b="-0.25", distance=0.5, unit="m")
+    first = replace(found.first, state=replace(found.first.state, number=number))
+    audit = Audit((five[0],), made(five[4:]), (five[4],), replace(found, first=first))
+    (named,) = (line for line in lines(audit) if " there, " in line)
+    assert named.endswith(": 0.25 there, -0.25 here, the signs differ, 50 cm")
+
+
 def said(*matches: Match, law: LawTest | str = "no positions", originals: int = 1) -> list[str]:
     """The sentences of a ladder, strongest level first, with 4 ULP allowed."""
     return [rung.said for rung in ladder(matches, lambda: law, max_ulps=4, originals=originals).rungs]

@@ -20,6 +20,7 @@ from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
 from gpusimbench.evaluator.diff.numbers import Pairing
 from gpusimbench.evaluator.diff.result import Basis, Change, Difference, DiffVerdict, StepRange
+from gpusimbench.evaluator.diff.words import amount
 from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
@@ -130,6 +131,26 @@ def test_opposite_signs_are_named_and_not_counted(tmp_path: Path) -> None:
     assert (found.signs_differ, found.compared.fields[0].signs_from) == (True, 3)
     near = compare(record(tmp_path, base, run=2), record(tmp_path, changed(base, 3, by_ulps(2, 1, 0, 0)), run=3))
     assert (near.signs_differ, near.compared.fields[0].signs_from) == (False, None)
+
+
+@pytest.mark.parametrize("value", [2.0, -2.0, 1e-3])
+def test_a_number_against_zero(tmp_path: Path, value: float) -> None:
+    """Say that one is zero, and the distance: all numbers down to zero, which JSON counts, tell nothing."""
+
+    def placed(states: NDArray[Any]) -> None:
+        states[1, 0, 0] = value
+
+    def zero(states: NDArray[Any]) -> None:
+        states[1, 0, 0] = 0
+
+    base = changed(still(), 0, placed)
+    found = compare(record(tmp_path, base), record(tmp_path, changed(base, 3, zero), run=1))
+    assert found.first is not None and found.first.state is not None
+    number = found.first.state.number
+    assert number.ulp is not None and number.ulp > 10**8
+    distance = amount(abs(value), "m")
+    assert f"one is zero ({number.a} and 0.0), {distance}" in verdict_of(found).text
+    assert both_of(number).endswith(f": one is zero, {distance}")
 
 
 def test_equal_recordings_are_equal(tmp_path: Path) -> None:

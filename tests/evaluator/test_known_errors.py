@@ -37,13 +37,16 @@ def errors_of(path: Path) -> list[str]:
 
 
 def test_shipped_recordings_with_a_known_error() -> None:
-    """Find the errors in the folder whose card names them, and in no other."""
+    """Find the errors of one folder's card, and models on Newton from before a correction, and no other."""
     found = Counter(
         (path.parent.name, error.simulator)
         for path in sorted((ROOT / "recordings").rglob("*.mcap"))
         for error in known_errors(Recording(path))
     )
-    assert found == {("h200", "brax"): 2, ("h200", "genesis"): 10, ("h200", "isaaclab"): 2}
+    assert found == {
+        **{("h200", "brax"): 2, ("h200", "genesis"): 10, ("h200", "isaaclab"): 2},
+        **{("ant", "newton"): 1, ("humanoid", "newton"): 2, ("manipulator", "newton"): 2},
+    }
 
 
 def test_what_a_recording_shows_its_error_by(tmp_path: Path) -> None:
@@ -65,6 +68,15 @@ def test_what_a_recording_shows_its_error_by(tmp_path: Path) -> None:
             change=changing(SIMULATION, deviations=deviations),
         )  # fmt: skip
         assert bool(errors_of(path)) is shown, (backend, deviations)
+    for parameter, wanted, used, shown in (
+        ("option.disableflags", "none", "multiccd", True),
+        ("option.disableflags", "multiccd", "gravity, multiccd", False),
+        ("option.disableflags", "none", "gravity", False),
+        ("option.solver", "PGS", "multiccd", False),
+    ):
+        flag = {"parameter": parameter, "wanted": wanted, "used": used, "reason": "so it is made"}
+        path = write_recording(tmp_path, None, simulator="newton", change=changing(SIMULATION, deviations=[flag]))
+        assert bool(errors_of(path)) is shown, flag
 
 
 def test_a_wrong_throughput_has_no_value_and_a_note_says_why(tmp_path: Path) -> None:

@@ -34,15 +34,17 @@ from gpusimbench.evaluator.report.sections.probed import depends, evidence
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.schemas import topics
 from gpusimbench.schemas.commands.folder_lock import folder_lock as held_by
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import body_fields, joint_field
 from gpusimbench.schemas.initial import Initial
 from gpusimbench.schemas.location import place
+from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from gpusimbench.schemas.treatment import Intervention
 from tests.conftest import Command, call, made_once
-from tests.synthetic import grid, write_recording
+from tests.synthetic import Shown, grid, write_recording
 
 Planted = Callable[[NDArray[Any], int], None]
 """Changes the positions [env, 27, 3] after a step."""
@@ -391,6 +393,31 @@ def test_other_spreads_are_other_states(tmp_path: Path) -> None:
     assert {n: r.configuration.initial for n, r in arms.by_number.items()} == {8: ARMS[1].initial}
     found = {finding.key: finding for finding in answers(arms)}
     assert found["runs"].answer is found["number"].answer is Answer.YES
+
+
+def test_a_capture_that_changes_environments(tmp_path: Path) -> None:
+    """Count the environments whose state hashes differ between the phases, and not the steps at which they do."""
+    start, steps = grid(4, "float32"), 4
+    made = message_class("gsb.v1.FingerprintBlock")(first_step=1, stride=1, steps=steps, env_start=0, envs=4)
+    plain = write_recording(tmp_path, start, steps=steps, dt=0.01, run=1)
+    captured = Recording(plain).fingerprints("capture")
+    assert captured is not None
+    hashes = captured.hashes[np.isin(captured.steps, range(1, steps + 1))]
+    assert hashes.shape == (steps, 4)
+    for count, envs in enumerate(([], [2], [1, 2, 3])):
+        timed = hashes.copy()
+        timed[2:3, envs] ^= np.uint64(1)  # at step 3 alone
+        del made.hashes[:]
+        made.hashes.extend(timed.reshape(-1).tolist())
+        shown = Shown(raw=((topics.fingerprint("timed"), "gsb.v1.FingerprintBlock", made),))
+        run = Recording(write_recording(tmp_path, start, steps=steps, dt=0.01, run=count + 2, shown=shown))
+        (arms,) = arms_of([run])
+        (question,) = (one for one in QUESTIONS if one.key == "capture")
+        asked = question.ask(arms)
+        assert not isinstance(asked, Missing)
+        assert (asked.found.differing, asked.found.pairs, asked.found.steps) == (len(envs), 4, steps)
+        assert asked.found.first_step == (3 if envs else None)
+        assert asked.compared == "timed and captured states, at step 1, 2, 3, 4"
 
 
 def test_arms_of_other_sizes(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from gpusimbench.evaluator.check.protocol import Unmet
 from gpusimbench.evaluator.metrics.tosses import (
     Cube,
     Motion,
@@ -347,6 +348,11 @@ def test_a_throughput_belongs_to_the_errors_of_its_configuration() -> None:
     unknown = "no run of this configuration has errors against tosses"
     assert [reason for label, reason in why.items() if "none" in label] == [unknown]
     assert sum(reason.startswith("less accurate") for reason in why.values()) == 2
+    unmet = replace(warp.timed, unmet=Unmet({"timed-seconds": 1}))  # of the run that has errors, not of the timed one
+    (one,) = fastest([replace(r, timed=unmet) if r is warp else r for r in results])
+    assert one.first is not None and one.first.result.group.key.simulator != "warp"
+    reasons = [reason for speed, reason in one.faster if speed.result.group.key.options == warp.group.key.options]
+    assert reasons == [unmet.unmet.of_throughput]
 
 
 def test_order_does_not_matter(reference: Path, runs: dict[str, Path], tmp_path: Path, gsb_record: Command) -> None:

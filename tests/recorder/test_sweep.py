@@ -350,17 +350,36 @@ def test_a_sweep_and_its_continuation(gsb_record: Command, tmp_path: Path) -> No
     assert all(Path(run["file"]).exists() for run in record["runs"])
 
 
+def test_a_set_and_its_continuation(gsb_record: Command, limited: dict[str, str], tmp_path: Path) -> None:
+    """Make what a part of a set lacks, and a set more where it lacks nothing; let a sweep find the runs."""
+    plain = ("--sim", "limited", *_TINY, "--n-env", 2, "--runs", 3, "--out", tmp_path)
+    assert "already" not in gsb_record(*plain, code=0, env=limited).stderr
+    (gone,) = tmp_path.glob("*-r1-*.mcap")
+    gone.rename(gone.with_suffix(".mcap.partial"))
+    done = gsb_record(*plain, "--json", code=0, env=limited)
+    assert f"3 runs, 2 of them in {tmp_path} already" in done.stderr
+    assert [(run["run"], run["found"]) for run in json.loads(done.stdout)["runs"]] == [(0, True), (1, False), (2, True)]
+    assert _made(tmp_path) == [(2, 0), (2, 1), (2, 2)]
+    more = gsb_record(*plain, "--runs", 1, code=0, env=limited)
+    assert "already" not in more.stderr
+    assert _made(tmp_path) == [(2, 0), (2, 0), (2, 1), (2, 2)]
+    swept = gsb_record("--sim", "limited", *_TINY, "--sweep", "2..2", "--runs", 3, "--out", tmp_path, env=limited)
+    assert f"3 of 3 runs are in {tmp_path} already" in swept.stderr
+
+
 @pytest.mark.slow
-def test_plain_runs_are_always_made(gsb_record: Command, tmp_path: Path) -> None:
-    """Make new files for --n-env whatever lies there, and let a sweep find them."""
-    plain = ("--sim", "mujoco", "--scene", "free-fall", *_TINY, "--n-env", 4, "--runs", 1, "--out", tmp_path)
+def test_a_set_with_a_failure(gsb_record: Command, limited: dict[str, str], tmp_path: Path) -> None:
+    """Fail for a failed run that is there, and make everything again after a refusal, or with other settings."""
+    base = ("--sim", "limited", *_TINY, "--n-env", 4, "--out", tmp_path)
+    gsb_record(*base, "--runs", 1, "--option", "mode=once", code=1, env={**limited, "GSB_TEST_FOLDER": str(tmp_path)})
+    done = gsb_record(
+        *base, "--runs", 2, "--option", "mode=once", "--json", code=1, env={**limited, "GSB_TEST_FOLDER": str(tmp_path)}
+    )
+    ended = [(run["status"], run["found"]) for run in json.loads(done.stdout)["runs"]]
+    assert ended == [("failed", True), ("complete", False)]
     for _ in range(2):
-        assert gsb_record(*plain).returncode == 0
-    assert _made(tmp_path) == [(4, 0), (4, 0)]
-    done = gsb_record(*_sweep(tmp_path))
-    assert f"1 of 6 runs are in {tmp_path} already" in done.stderr
-    assert "4 envs, 1 of 2 runs there" in done.stderr
-    assert _made(tmp_path) == [(1, 0), (1, 1), (4, 0), (4, 0), (4, 1), (8, 0), (8, 1)]
+        refused = gsb_record(*base, "--runs", 2, "--option", "mode=refuse", "--json", code=1, env=limited)
+        assert [run["found"] for run in json.loads(refused.stdout)["runs"]] == [False]
 
 
 @pytest.mark.slow

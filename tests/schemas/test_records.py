@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -132,6 +133,41 @@ def test_simulation_round_trip() -> None:
         env_origins=((0.0, 1.0, 2.0),), timing_covers="all", fresh_start="rebuilt",
     )  # fmt: skip
     assert Simulation.from_json(simulation.to_json()) == simulation
+
+
+@given(
+    origins=st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3), max_size=4).map(tuple),
+    numbers=st.lists(st.integers() | st.none() | st.booleans(), max_size=4),
+    word=st.text() | st.just("[\n 1,\n 2,\n 3\n]"),
+)
+def test_origins_are_a_line_each(
+    origins: tuple[tuple[float, float, float], ...], numbers: list[int | bool | None], word: str
+) -> None:
+    """Write each origin on one line, and the same values as json.dumps."""
+    simulation = Simulation(
+        version=word, device="cpu", options={"numbers": numbers, "words": [word] * 3}, switches={}, deviations=(),
+        fields=_FIELDS, scene={}, env_origins=origins,
+    )  # fmt: skip
+    text = simulation.to_json()
+    plain = json.dumps(dataclasses.asdict(simulation))
+    assert json.dumps(json.loads(text), sort_keys=True) == json.dumps(json.loads(plain), sort_keys=True)
+    lines = text.splitlines()
+    assert all(f"  [{x!r}, {y!r}, {z!r}]" in (line.rstrip(",") for line in lines) for x, y, z in origins)
+
+
+def test_many_origins_are_small() -> None:
+    """Take 24 bytes an environment at most on a grid of 64 x 64, where three lines took 35."""
+    grid = tuple((4.0 * (env % 64), 4.0 * (env // 64), 0.0) for env in range(4096))
+    sizes = [
+        len(
+            Simulation(
+                version="1", device="cpu", options={}, switches={}, deviations=(), fields=_FIELDS, scene={},
+                env_origins=origins,
+            ).to_json()
+        )
+        for origins in ((), grid)
+    ]  # fmt: skip
+    assert (sizes[1] - sizes[0]) / len(grid) <= 24
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,11 @@ def parser() -> Parser:
         help=_READ,
     )  # fmt: skip
     how = p.add_mutually_exclusive_group()
-    how.add_argument("--env", metavar="ID", help="environment of Gymnasium's registry (default: the recorded one)")
+    how.add_argument(
+        "--env",
+        metavar="ID",
+        help="environment of Gymnasium's registry, or MODULE:ID, whose module registers it (default: the recorded one)",
+    )
     how.add_argument(
         "--make", metavar="MODULE:FUNCTION", help="function that takes a number of environments and returns a VectorEnv"
     )
