@@ -32,7 +32,10 @@ class Hanging:
         parts = _broken(self._text, width).wrap(console, width, **how)
         hang = min(self._hang, width - 1)
         if len(parts) > 1 and hang > 0:
-            parts = _broken(self._text, width - hang).wrap(console, width - hang, **how)
+            plain = _broken(self._text, width).wrap(console, width, overflow=how["overflow"])[0].plain.rstrip()
+            rest = self._text[len(plain) :]
+            rest = rest[len(rest) - len(rest.plain.lstrip()) :]  # the hang is taken from the other parts alone
+            parts = [parts[0], *_broken(rest, width - hang).wrap(console, width - hang, **how)]
             for part in parts[1:]:
                 part.pad_left(hang)
         for part in parts:
