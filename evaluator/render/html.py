@@ -200,7 +200,7 @@ def _table(block: Table, level: int) -> Markup:
         _EMPTY.join(heads),
         bodies,
         every,
-        _legend((*block.legend, *([_TIGHT] if tight else []))),
+        _legend((*filter(None, [block.opened]), *block.legend, *([_TIGHT] if tight else []))),
     )
 
 
