@@ -51,7 +51,7 @@ files:
 
 see also:
   gsb-record --replay, which only replays
-  gsb-diff, which shows where two part
+  gsb-diff, which shows where two recordings first differ
   docs/audit.md
 
 examples:

@@ -1,4 +1,4 @@
-"""gsb-diff: where two recordings, or environments of one, part first."""
+"""gsb-diff: the first step at which two recordings, or environments of one, differ."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place, place
-from gpusimbench.schemas.text import line, show
+from gpusimbench.schemas.text import line, plural, show
 from gpusimbench.schemas.writing import write_files
 
 if TYPE_CHECKING:
@@ -181,8 +181,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace) -> None:
         tables |= table_files(document, arguments.format)
         paths = {arguments.tables / name: content for name, content in tables.items()}
         write_files(paths)
-        for table in paths:
-            show(line(f"table: {table}"), error=arguments.json == "-")
+        show(line(f"tables: {plural(len(paths), 'file')} in {arguments.tables}"), error=arguments.json == "-")
     if arguments.figures:
         from gpusimbench.evaluator.report.paper import write_figures
 

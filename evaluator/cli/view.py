@@ -37,7 +37,7 @@ exit codes:
   5  a file holds no states, so there is nothing to show
 
 see also:
-  gsb-diff, which says in numbers where two part
+  gsb-diff, which says in numbers where two recordings first differ
   gsb-share viewer
   docs/view.md
   docs/viewers.md

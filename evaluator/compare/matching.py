@@ -152,8 +152,9 @@ def _why(group: Group[Run], others: Groups, across: Collection[str]) -> str:
         if not nearest:
             return said
         keys = {*(field.name for field in fields(GroupKey)), *TELLING}
-        across_these = [f"--across {name}" for name in nearest if name in ACROSS or name not in keys]
-        how = f"; {' '.join(across_these)} compares the two" if len(across_these) == len(nearest) else ""
+        further = [name for name in nearest if name in ACROSS or name not in keys]
+        needed = " ".join(f"--across {name}" for name in [*across, *further])
+        how = f"; {needed} compares the two" if len(further) == len(nearest) else ""
         return f"{said}; the most similar group differs in {few(list(nearest.values()), _NEAR)}{how}"
     if not any(_one_scene(group, g, across) for g in alike):
         return "the description of the scene differs on the other side; --across scene compares the two"

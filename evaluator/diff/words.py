@@ -25,7 +25,7 @@ _BARS = "▁▂▃▄▅▆▇█"
 
 
 def sentence(found: ProgramDifference, first: ComparedPart, who: str, dt: float) -> str:
-    """The verdict: "The runs part at update 12 of gradient, after step 640; until then, batch is the same".
+    """The verdict: "The runs first differ at update 12 of gradient, after step 640; until then, batch is the same".
 
     first  the part that differs first
     who    the two runs
@@ -38,7 +38,7 @@ def sentence(found: ProgramDifference, first: ComparedPart, who: str, dt: float)
     if any(part.kind is Kind.SIMULATOR for part in known):
         names.append("all that the simulator returned")
     until = f"until then, {_listed(names)} {'is' if len(names) == 1 else 'are'} the same"
-    return f"{who} part {where(first, dt)}; {until if names else 'nothing that was recorded precedes it'}."
+    return f"{who} first differ {where(first, dt)}; {until if names else 'nothing that was recorded precedes it'}."
 
 
 def _listed(parts: list[str]) -> str:

@@ -8,6 +8,7 @@ from typing import IO, Any
 from rich.cells import cell_len
 from rich.console import Console
 from rich.measure import Measurement
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -32,7 +33,10 @@ class Hanging:
         parts = _broken(self._text, width).wrap(console, width, **how)
         hang = min(self._hang, width - 1)
         if len(parts) > 1 and hang > 0:
-            parts = _broken(self._text, width - hang).wrap(console, width - hang, **how)
+            plain = _broken(self._text, width).wrap(console, width, overflow=how["overflow"])[0].plain.rstrip()
+            rest = self._text[len(plain) :]
+            rest = rest[len(rest) - len(rest.plain.lstrip()) :]  # the hang is taken from the other parts alone
+            parts = [parts[0], *_broken(rest, width - hang).wrap(console, width - hang, **how)]
             for part in parts[1:]:
                 part.pad_left(hang)
         for part in parts:
@@ -73,8 +77,32 @@ class Screen(Console):  # type: ignore[misc]  # rich is not typed for us
 
     def print(self, *objects: Any, style: str | None = None, **how: Any) -> None:
         """See Console.print; a text is one line."""
-        shown = [Hanging(one, style or "") if isinstance(one, (str, Text)) else one for one in objects]
+        shown = [_shown(one, style or "") for one in objects]
         super().print(*shown, style=style, **how)
+
+
+def _shown(one: Any, style: str) -> Any:
+    if isinstance(one, (str, Text)):
+        return Hanging(one, style)
+    return _Trimmed(one) if isinstance(one, Table) else one
+
+
+class _Trimmed:
+    """A table without the blanks that rich puts behind each line of it."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+
+    def __rich_console__(self, console: Any, options: Any) -> Any:
+        """The lines, as rich wants them."""
+        for segments in console.render_lines(self._table, options, pad=False):
+            while segments and not segments[-1].text.strip():
+                segments.pop()
+            if segments:
+                text, *other = segments.pop()
+                segments.append(Segment(text.rstrip(), *other))
+            yield from segments
+            yield Segment.line()
 
 
 class PlainTable(Table):  # type: ignore[misc]

@@ -102,6 +102,7 @@ class Table:
     caption  what it shows
     legend   what must be known to read it, a line each
     compact  a row a line where there is room: of the notes of a cell only the first is shown, the others are hidden
+    opened   what a reader of a page sees below a row that is opened; for pages alone, since only there rows open
     """
 
     key: str
@@ -110,6 +111,7 @@ class Table:
     rows: tuple[Row, ...]
     legend: tuple[str, ...] = ()
     compact: bool = False
+    opened: str = ""
 
     def __post_init__(self) -> None:
         assert all(len(row.cells) == len(self.columns) for row in self.rows), f"table {self.key}: a row of other length"
@@ -156,6 +158,7 @@ class Figure:
     key      names the figure's files, unique within a document; empty: it has none
     numbers  what it draws
     about    kind of figure, scene, group: what a caption needs where no page stands around the figure
+    reading  what its marks mean: the same, at the end of the caption
     """
 
     label: str
@@ -164,6 +167,7 @@ class Figure:
     key: str = ""
     numbers: Numbers = field(default_factory=Numbers)
     about: str = ""
+    reading: str = ""
 
     @property
     def title(self) -> str:

@@ -66,7 +66,7 @@ def table_markup(block: Table, more: Callable[[Iterable[Block]], Markup]) -> Mar
         _EMPTY.join(heads),
         bodies,
         every,
-        _legend((*block.legend, *([_TIGHT] if tight else []))),
+        _legend((*filter(None, [block.opened]), *block.legend, *([_TIGHT] if tight else []))),
     )
 
 

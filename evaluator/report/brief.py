@@ -155,7 +155,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     tables: dict[str, list[list[Cell | str]]] = {}
     for result, name in zip(results, named, strict=True):
         key = result.group.key
-        place = f"{key.scene} on {key.device or 'no device'}" if several else ""
+        place = f"{key.scene} on {key.device or 'an unknown device'}" if several else ""
         tables.setdefault(place, []).append(
             [
                 name,

@@ -106,7 +106,7 @@ def _entries(found: Inspection) -> Iterator[tuple[str, str]]:
         yield "CAUTION", f"{', '.join(found.doubtful)} is not what was recorded; what follows from it may be wrong"
     for said in found.known_errors:
         yield "CAUTION", f"{PREFIX}{said}"
-    yield "sha256", found.content_hash or "of the content: none, there is no end record"
+    yield "sha256", _content_hash(found)
     if found.provenance:
         yield from _who(found.provenance)
         yield from _what(found.provenance, found.simulation)
@@ -115,6 +115,17 @@ def _entries(found: Inspection) -> Iterator[tuple[str, str]]:
     yield from _inside(found)
     for reason in found.unread:
         yield "not read", reason
+
+
+def _content_hash(found: Inspection) -> str:
+    if not found.content_hash:
+        return "of the content: none, there is no end record"
+    proof = {Kind.digest.name, Kind.content_hash.name}  # without these, it is a text that anyone can write
+    if not found.verified:
+        return f"{found.content_hash}, as the file states it: not verified"
+    if proof & {*found.integrity, *found.unchecked}:
+        return f"{found.content_hash}, as the file states it: not confirmed by its content"
+    return found.content_hash
 
 
 def _integrity(found: Inspection) -> str:
@@ -136,9 +147,9 @@ def _who(p: Provenance) -> Iterator[tuple[str, str]]:
     recorder = recorder if isinstance(recorder, dict) else {}
     commit = str(recorder.get("commit") or "")
     modified = ", modified" if recorder.get("modified") else ""
-    by = f"gpusimbench {recorder.get('version', '(version not told)')}, "
-    yield "recorded", f"{p.created_utc} by {by}{f'commit {commit[:12]}{modified}' if commit else 'commit not told'}"
-    yield "command", " ".join(p.argv) or "not told"
+    by = f"gpusimbench {recorder.get('version', '(version not recorded)')}, "
+    yield "recorded", f"{p.created_utc} by {by}{f'commit {commit[:12]}{modified}' if commit else 'commit not recorded'}"
+    yield "command", " ".join(p.argv) or "not recorded"
     yield "run", f"{p.run_id}, number {p.configuration.run_index} of its set"
 
 

@@ -288,7 +288,8 @@ def write_figures(evaluation: Evaluation, folder: Path, *, published: bool) -> l
         files[folder / f"{name}.pdf"] = to_pdf(svg, printable(picture.title))
         if picture.numbers.titles:
             files[folder / f"{name}.csv"] = to_csv(picture.numbers.titles, picture.numbers.rows)
-        environments.append(table_files.figure(name, ". ".join(filter(None, (picture.title, picture.caption)))))
+        said = ". ".join(part.removesuffix(".") for part in (picture.title, picture.caption, picture.reading) if part)
+        environments.append(table_files.figure(name, f"{said}."))
     files[folder / INDEX] = "\n".join(environments)
     write_files(files)
     return list(files)

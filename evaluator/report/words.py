@@ -104,11 +104,11 @@ def shared(fps: Estimate) -> str:
 
 
 def model(found: MemoryModel) -> str:
-    """The memory model with its errors, and where it does not hold."""
+    """The memory model with its standard errors (SE), and where it does not hold."""
     fixed, its_error, each, error_of_each = (
         scaled(bytes_, "B") for bytes_ in (found.fixed, found.fixed_se, found.per_env, found.per_env_se)
     )
-    line = f"{fixed} (± {its_error}) + {each} (± {error_of_each}) per env, from {len(found.n)} points"
+    line = f"{fixed} (SE {its_error}) + {each} (SE {error_of_each}) per env, from {len(found.n)} points"
     worst = f"largest error {100 * found.largest_residual:.0f} %, at N = {found.worst_n:,}"
     return f"{line}; {worst}" if found.holds else f"{line}; does NOT hold: {worst}"
 

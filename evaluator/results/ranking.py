@@ -23,7 +23,10 @@ from gpusimbench.schemas.configuration import deciding
 from gpusimbench.schemas.text import plural
 
 _DISTANCES = (Axis.EMD_TO_REAL, Axis.PARALLEL, Axis.RUN_TO_RUN)
-_NO_SWEEP = "needs a sweep over envs, by at least two simulators under the same conditions"
+_NO_SWEEP = (
+    "no comparable sweep over envs: it must share the conditions of another simulator's sweep, and end with a failure "
+    "or at the largest number tried"
+)
 
 
 @dataclass(frozen=True)

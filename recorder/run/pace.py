@@ -74,7 +74,10 @@ class Pace:
         return took
 
     def left(self, now: float) -> float | None:
-        """How long the runs that are not ended will take [s]; None while none has ended, or where none is left."""
+        """How long the runs that are not ended will take [s].
+
+        None while none has ended, where none is left, and once the last takes longer than those before it.
+        """
         remaining = self._runs - self._ended
         if not self._took or remaining <= 0:
             return None
@@ -82,7 +85,8 @@ class Pace:
         spent = sum(min(now - present.began, each) for present in list(self._present.values()))
         if not self._present:
             spent = min(now - self._began, each)
-        return max(0.0, each * remaining - spent) / max(1, len(self._present))
+        left = (each * remaining - spent) / max(1, len(self._present))
+        return left if left > 0 else None
 
     def words(self, now: float) -> str:
         """Which run is made, where it is, how long that has taken, and what is left."""

@@ -6,6 +6,7 @@ beside each other are one request, and whoever reads on from where the last requ
 
 from __future__ import annotations
 
+import os
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
@@ -317,5 +318,10 @@ def _reason(error: BaseException) -> str:
         return "no answer in time"
     if isinstance(error, (WrongAnswer, TooSlow)):
         return str(error)
+    if type(error).__name__ in ("ClientConnectorError", "ClientConnectorDNSError"):  # of aiohttp; not those of TLS
+        host, port, cause = (getattr(error, name, None) for name in ("host", "port", "os_error"))
+        number = getattr(cause, "errno", None) or 0
+        why = os.strerror(number) if number > 0 else getattr(cause, "strerror", None) or "no answer"
+        return f"cannot connect to {host}:{port}: {why}"
     told = redacted(str(error)).strip()
     return f"{type(error).__name__}{': ' if told else ''}{told[:300]}"

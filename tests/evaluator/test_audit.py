@@ -245,7 +245,7 @@ def test_what_cannot_be_replayed_here(small: Path, tmp_path: Path) -> None:
     assert done.returncode == 5
     assert done.stdout.startswith("No verdict: the replay was refused: forged.mcap\n")
     assert "known: mujoco" in done.stdout
-    assert "there is no simulator 'unheard-of'; known: mujoco" in done.stdout
+    assert "there is no simulator 'unheard-of'; known: mujoco" in " ".join(done.stdout.split())
 
 
 def test_a_replay_that_takes_too_much_is_stopped(plugin: dict[str, str], tmp_path: Path) -> None:

@@ -478,6 +478,8 @@ def test_what_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     of_far = compared(base, head, capsys=capsys)[1]["without_partner"][1]["reason"]
     across = "--across n_env --across dt --across cone"
     assert of_far == f"{said} n_env: 9 -> 1, dt: 0.5 -> 1.0, cone: unset -> pyramidal; {across} compares the two"
+    told = compared(base, head, "--across", "dt", capsys=capsys)[1]["without_partner"][1]["reason"]
+    assert told.endswith("cone: unset -> pyramidal; --across dt --across n_env --across cone compares the two")
     far.unlink()
 
     def begun_otherwise(name: str, record: dict[str, Any]) -> None:

@@ -140,13 +140,15 @@ def test_the_index_is_latex(written: Path) -> None:
 
 
 def test_captions_stand_alone(written: Path) -> None:
-    """Caption no two figures alike, and name the scene of each sweep, map, matrix and tree."""
+    """Caption no two figures alike; name the scene of each, the runs of a sweep's marks, and what whiskers are."""
     text = (written / INDEX).read_text(encoding="utf-8")
     found = dict(zip(*(re.findall(p, text) for p in (r"\\label\{fig:(.*)\}", r"\\caption\{(.*)\}")), strict=True))
     assert len(set(found.values())) == len(found)
     for name, caption in found.items():
-        if name.startswith(("scaling", "published", "density", "matrix", "tree", "divergence")):
-            assert any(scene in caption for scene in ("inclined-collision", "free-fall", "franka")), name
+        assert any(scene in caption for scene in ("inclined-collision", "free-fall", "franka")), name
+        assert caption.endswith("."), name
+        assert (name.startswith("scaling")) == ("Each mark is the mean of" in caption) or name.startswith("published")
+        assert ("Ring: N" in caption) == name.startswith(("scaling", "published")), name
 
 
 def assert_balanced(text: str) -> None:

@@ -130,6 +130,10 @@ def test_damaged_files(damage: str, tmp_path: Path, capsys: pytest.CaptureFixtur
     shown = capsys.readouterr().out
     assert code == (ExitCode.OK if rule in ("known-records", "crc-present") else ExitCode.DATA_LOST)
     assert "! " in shown
+    if damage in ("a chunk", "an attachment"):  # its content is another
+        assert "as the file states it: not confirmed" in " ".join(shown.split())
+    if damage in ("no CRC", "an index", "a record that nobody knows"):  # its content is the same
+        assert "as the file states it" not in shown
     assert shown.startswith(str(path))
     if damage != "an attachment":
         assert "synthetic" in shown
@@ -181,7 +185,9 @@ def test_a_run_that_was_never_built(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_without_verification(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Say that nothing was verified where it was not."""
     assert main([str(small), "--no-verify"]) == 0
-    assert "not verified (--no-verify)" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "not verified (--no-verify)" in shown
+    assert "as the file states it: not verified" in " ".join(shown.split())
 
 
 def test_overflow_gates_and_losses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -139,13 +139,13 @@ def test_the_sentence_names_what_was_the_same(plain: Recording, tmp_path: Path) 
     """Say where the runs part, and what did not differ until then."""
     found = beside(plain, tmp_path, planted("gradient", 1))
     assert verdict_of(found).text == (
-        "The two recordings part at update 1 of gradient, after step 8 (4 s); until then, batch, policy, the actions "
-        "and all that the simulator returned are the same."
+        "The two recordings first differ at update 1 of gradient, after step 8 (4 s); until then, batch, policy, the "
+        "actions and all that the simulator returned are the same."
     )
     found = compare(plain, train(tmp_path / "c.mcap", planted("policy", 0)))
     assert verdict_of(found).text == (
-        "The two recordings part at update 0 of policy (policy/w), before the first state; nothing that was recorded "
-        "precedes it."
+        "The two recordings first differ at update 0 of policy (policy/w), before the first state; nothing that was "
+        "recorded precedes it."
     )
 
 
@@ -195,7 +195,9 @@ def test_the_command_says_so(tmp_path: Path) -> None:
     train(tmp_path / "b.mcap", extra=1)
     files = ("a.mcap", "b.mcap")
     done = call("gsb-diff", *files, "--all", "--json", "found.json", cwd=tmp_path, code=ExitCode.GATE_FAILED)
-    assert done.stdout.startswith("The two recordings part at update 4 of policy (a has 4 updates of it, b has 5)")
+    assert done.stdout.startswith(
+        "The two recordings first differ at update 4 of policy (a has 4 updates of it, b has 5)"
+    )
     assert "parts of the program: 2 other state fields the same throughout" in done.stdout
     document = json.loads((tmp_path / "found.json").read_text())
     assert document["verdict"] == "different"

@@ -111,7 +111,7 @@ def test_a_planted_cause_is_named_first(tmp_path: Path, cause: str) -> None:
     """Change a line of the training program, so that one thing is not seeded: it is what differs first."""
     before, after, kind, name, update, last = _CAUSES[cause]
     said, found = gsb_run(tmp_path, planted(tmp_path, before, after), code=ExitCode.GATE_FAILED)
-    assert said.startswith("Run 0 and run 1 part at ")
+    assert said.startswith("Run 0 and run 1 first differ at ")
     (compared,) = found["compared"]
     program = compared["difference"]["program"]
     assert (program["first"]["kind"], program["first"]["name"]) == (kind, name)
@@ -124,7 +124,7 @@ def test_runs_of_several_recordings(tmp_path: Path) -> None:
     """Compare two recordings of each run: one differs."""
     words = program(tmp_path, "record('same.mcap', 1); record('sub/other.mcap', os.environ['GSB_RUN'][-1])")
     said, found = gsb_run(tmp_path, words, "--out", "out", code=ExitCode.GATE_FAILED)
-    assert "Run 0 and run 1 of sub/other.mcap part at step 0 (0 s) in env/observation" in said
+    assert "Run 0 and run 1 of sub/other.mcap first differ at step 0 (0 s) in env/observation" in said
     assert "Run 0 and run 1 of same.mcap are bit-identical" in said
     assert [(one["name"], one["difference"]["bit_identical"]) for one in found["compared"]] == [
         ("same.mcap", True), ("sub/other.mcap", False),
@@ -349,7 +349,7 @@ def test_an_audit_of_other_arrays_is_not_bit_identical(recorded: Path) -> None:
     assert audit["difference"]["bit_identical"] is False
     assert audit["difference"]["program"]["first"]["name"] == "policy"
     assert {rung["level"]: rung["holds"] for rung in audit["rungs"]}["same-up-to-env-order"] is False
-    assert "original and replay part at update 0 of policy, after step 1 (0.5 s)" in said
+    assert "original and replay first differ at update 0 of policy, after step 1 (0.5 s)" in said
 
 
 @pytest.mark.parametrize(

@@ -256,8 +256,8 @@ def test_radar_without_a_shared_sweep(tmp_path: Path) -> None:
     comparison = evaluated(tmp_path).comparison
     assert [c.figures.n_max for c in comparison.contenders] == [None, None]
     assert {c.figures.name for c in comparison.contenders} == {"swept [n_env=4]", "single"}
-    assert "needs a sweep" in why_missing(comparison.contenders[0].metrics[Axis.PARALLELISM])
-    assert "needs a sweep" in render_html(evaluated(tmp_path), published=False, command="")
+    assert "no comparable sweep" in why_missing(comparison.contenders[0].metrics[Axis.PARALLELISM])
+    assert "no comparable sweep" in render_html(evaluated(tmp_path), published=False, command="")
 
 
 def test_guidelines_of_a_robot(tmp_path: Path) -> None:

@@ -45,6 +45,9 @@ from gpusimbench.schemas.text import few, plural
 
 _TITLES = ("group", "value", "low", "high", "note")
 _MECHANICS = f"broken checks of mechanics, {NEWEST.value}"
+_NO_INTERVALS = (_MECHANICS, Axis.PARALLELISM.value)
+_OF_SWEEPS = (Axis.THROUGHPUT, Axis.PARALLELISM, Axis.MEMORY)
+_PLACES = 3  # that a caption names
 
 
 def _bars(contender: Contender) -> str:
@@ -54,6 +57,17 @@ def _bars(contender: Contender) -> str:
 
 def _label(contender: Contender) -> str:
     return f"{contender.figures.name} †" if _bars(contender) else contender.figures.name
+
+
+def _place(contenders: Sequence[Contender], *, swept: bool) -> str:
+    """Scene, device and size of what an axis compares; all contenders share them, or have a sweep each."""
+    if swept and any(c.sweep for c in contenders):
+        keys, size = [c.sweep.key for c in contenders if c.sweep], "each simulator at its own N_env^max"
+    else:
+        keys = [r.group.key for c in contenders if (r := c.group or c.speed)]
+        size = few([plural(n, "env", spec=",") for n in dict.fromkeys(key.n_env for key in keys)], _PLACES)
+    places = dict.fromkeys(f"{key.scene} on {key.device}" if key.device else key.scene for key in keys)
+    return ", ".join(filter(None, (few(list(places), _PLACES), size)))
 
 
 def panels(contenders: tuple[Contender, ...]) -> Iterator[Figure]:
@@ -69,7 +83,8 @@ def panels(contenders: tuple[Contender, ...]) -> Iterator[Figure]:
                 dots.append(dot)
         shown = on_radar(axis)
         title, unit = (shown.title, shown.unit) if shown else (axis.value, "envs")
-        yield _picture(title, unit, dots, missing, larger=axis not in LOWER_IS_BETTER)
+        about = _place(contenders, swept=axis in _OF_SWEEPS)
+        yield _picture(title, unit, dots, missing, about, larger=axis not in LOWER_IS_BETTER)
     yield _mechanics(contenders)
 
 
@@ -111,10 +126,12 @@ def _mechanics(contenders: tuple[Contender, ...]) -> Figure:
         broken = found.of(CheckVerdict.BROKEN)
         said = ", ".join(row.check.title for row in broken) or f"all {found.held} that could be made hold"
         dots.append(Dot(index, name, float(len(broken)), said=f"{name}: {said}"))
-    return _picture(_MECHANICS, "checks", dots, missing, larger=False)
+    return _picture(_MECHANICS, "checks", dots, missing, _place(contenders, swept=False), larger=False)
 
 
-def _picture(what: str, unit: str, dots: list[Dot], missing: dict[str, list[str]], *, larger: bool) -> Figure:
+def _picture(
+    what: str, unit: str, dots: list[Dot], missing: dict[str, list[str]], about: str, *, larger: bool
+) -> Figure:
     key = f"dots-{what.lower().replace(' ', '-')}"
     absent = absences(missing)
     if not dots:
@@ -122,7 +139,10 @@ def _picture(what: str, unit: str, dots: list[Dot], missing: dict[str, list[str]
     tick = steps_label if unit in ("env-steps/s", "envs") else tick_label
     svg = dot_plot(dots, value=f"{what} [{unit}]", tick=tick, best_first=larger)
     rows = [(d.label, d.value, d.low, d.high, d.said) for d in dots]
-    return Figure(what, _read(what, dots, absent, larger=larger), Markup(svg), key, Numbers(_TITLES, rows))
+    whiskers = what not in _NO_INTERVALS and any(d.low is not None for d in dots)
+    reading = "Whiskers are 95 % intervals over runs." if whiskers else ""
+    caption = _read(what, dots, absent, larger=larger)
+    return Figure(what, caption, Markup(svg), key, Numbers(_TITLES, rows), about, reading)
 
 
 def _read(what: str, dots: list[Dot], absent: str, *, larger: bool) -> str:
@@ -178,7 +198,8 @@ def _radar_figure(contenders: Sequence[Contender], radar: Radar) -> Figure:
         )
         return Figure(title, why_not, None)
     svg = Markup(radar_chart.radar_chart(radar))
-    return Figure(title, _RADAR_CAPTION, svg, "radar", Numbers(titles, rows))
+    about = _place(contenders, swept=True)
+    return Figure(title, _RADAR_CAPTION, svg, "radar", Numbers(titles, rows), about)
 
 
 def section(source: Source) -> Section | None:

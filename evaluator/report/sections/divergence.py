@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from markupsafe import Markup
@@ -64,7 +64,7 @@ def section(source: Source) -> Section | None:
     onsets = [onset(r) for r in told]
     how = Text(
         "How far two runs lie apart at each step cannot be told from one file at a time: gsb-diff A B reads both files "
-        "and gives it. An opened row shows how its environments and runs came apart."
+        "and gives it."
     )
     blocks: tuple[Block, ...] = (_table(source, onsets), how)
     return Section("divergence", "How environments and runs come apart", blocks, _summary(onsets), folded=True)
@@ -96,10 +96,11 @@ def _table(source: Source, onsets: Sequence[Onset]) -> Table:
         ),
     ]
     results = [one.result for one in onsets]
-    return of_groups(
+    made = of_groups(
         source, "divergence", "When environments and runs come apart", results, columns, reasons,
         more=lambda r: with_lines(pictures(source, r)),
     )  # fmt: skip
+    return replace(made, opened="An opened row shows how its environments and runs came apart.")
 
 
 def _first_column(of: str, which: str, found: Mapping[str, Onset], reasons: Reasons) -> tuple[Column, Written]:

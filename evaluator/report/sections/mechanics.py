@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from gpusimbench.evaluator.json_values import picked
@@ -34,7 +35,7 @@ from gpusimbench.schemas.text import plural
 TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
-_SAID = f"An opened row shows what each check measured. Tolerances are those of {NEWEST.value}."
+_SAID = f"Tolerances are those of {NEWEST.value}."
 _TONES = {CheckVerdict.HELD: Tone.GOOD, CheckVerdict.BROKEN: Tone.BAD}
 
 
@@ -119,6 +120,7 @@ def section(source: Source) -> Section | Missing | None:
         source, "mechanics-groups", "", ordered, columns, Reasons(), [_SAID],
         more=lambda r: blocks(r, key_of("mechanics", r.label)),
     )  # fmt: skip
+    every = replace(every, opened="An opened row shows what each check measured.")
     return Section("mechanics", "Mechanics", (every,), said, folded=True)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from markupsafe import Markup
@@ -24,7 +24,7 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.figures.scaling import Curve, Foreign, scaling_chart
+from gpusimbench.evaluator.render.figures.scaling import LINE_FROM, Curve, Foreign, scaling_chart
 from gpusimbench.evaluator.render.numbers import NONE, bounds, distance, estimate, scaled
 from gpusimbench.evaluator.render.table_files import CsvCell
 from gpusimbench.evaluator.report import timed, words
@@ -36,15 +36,19 @@ from gpusimbench.evaluator.results.published import SCALING, AtLargest
 from gpusimbench.evaluator.results.sweeps import SOURCES, Accumulation, Sweep, SweepPoint
 from gpusimbench.evaluator.statistics.jackknife import Interval
 from gpusimbench.evaluator.statistics.matched import Variability
-from gpusimbench.schemas.text import cut, plural
+from gpusimbench.schemas.text import cut, few, plural
 
+_DEVICES = 3  # that a caption names
 _LONGEST_END = 160  # characters of why a sweep ended; the whole stands in JSON
 _MEMORY = (DEVICE_MEMORY, PROCESS_MEMORY, HOST_MEMORY)
-_HOW = (
+_MARKS = (
     "Both axes are logarithmic. Ring: N_env^max, the largest number of environments with a complete run. Cross: the "
-    "next number tried, where no run was complete. Dotted: throughput in proportion to the environments, from the "
-    "sweep's first point on. Thin line: the memory model. Sweeps of three points or fewer have no lines."
+    "next number tried, where no run was complete."
 )
+_PROPORTION = "Dotted: throughput in proportion to the environments, from the sweep's first point on."
+_THIN = "Thin line: the memory model."
+_FEW_POINTS = "Sweeps of three points or fewer have no lines."
+_HOW = f"{_MARKS} {_PROPORTION} {_THIN} {_FEW_POINTS}"
 _MODEL = "memory model: bytes = fixed + per env x N"
 _ACCUMULATION = (
     "Whether variability grows as parallelisation increases: W1 [cm] with every run reduced to the same number of "
@@ -94,7 +98,9 @@ def _with_charts(scene: str, sweeps: Sequence[Sweep], paper: dict[str, AtLargest
 
 
 def _charts(scene: str, sweeps: Sequence[Sweep], paper: dict[str, AtLargest], key: str) -> Iterator[Figure]:
-    about = f"{scene}, sweeps over the number of environments" + (", with the paper's points" if paper else "")
+    devices = list(dict.fromkeys(device for s in sweeps if (device := s.key.device)))
+    where = f"{scene} on {few(devices, _DEVICES)}" if devices else scene
+    about = f"{where}, sweeps over the number of environments" + (", with the paper's points" if paper else "")
     speed = [Foreign(name, at.n_env_max, at.fps) for name, at in paper.items()]
     yield _chart(steps_label, sweeps, FPS, speed, f"{key}-throughput", about)
     for metric in _MEMORY:
@@ -122,7 +128,19 @@ def _chart(
         [*(row for _, sweep in of_metric for row in _numbers_of(sweep, metric.name)),
          *((one.label, one.n_env, one.value, *[None] * (4 + len(timed.ALL)), "published") for one in foreign)],
     )  # fmt: skip
-    return Figure(value, "", Markup(svg) if svg else None, key, numbers, about)
+    reading = _reading([s for _, s in of_metric], _THIN if metric in _MEMORY else _PROPORTION)
+    return Figure(value, "", Markup(svg) if svg else None, key, numbers, about, reading)
+
+
+def _reading(sweeps: Sequence[Sweep], line: str) -> str:
+    runs = [point.complete for sweep in sweeps for point in sweep.points if point.complete]
+    said = [_MARKS]
+    if runs:
+        fewest = "" if min(runs) == max(runs) else f"{min(runs)} to "
+        said.insert(0, f"Each mark is the mean of {fewest}{plural(max(runs), 'run')}.")
+    if any(len(curve.points) >= LINE_FROM for curve in sweeps):
+        said += [line, _FEW_POINTS]
+    return " ".join(said)
 
 
 def _numbers_of(sweep: Sweep, name: str) -> Iterator[tuple[CsvCell, ...]]:
@@ -194,13 +212,13 @@ def _of_scene(found: SceneSweeps) -> Iterator[Block]:
     if found.charts:
         yield Gallery(tuple(found.charts), 28)
         yield Text(_HOW, Tone.QUIET)
-    yield table(
+    largest = table(
         f"scaling-largest-{found.scene}",
         f"How far the sweeps of {found.scene} go",
         ["sweep", "N_env^max", FPS.titled, "memory increment", "why it ends", _MODEL],
         [_sweep(sweep, found) for sweep in found.sweeps],
-        ["An opened row shows the sweep point by point."],
     )
+    yield replace(largest, opened="An opened row shows the sweep point by point.")
     if found.remarks:
         yield items(*found.remarks)
 

@@ -314,6 +314,24 @@ def test_long_lines_of_a_fact_hang_below_its_first_word() -> None:
     assert {len(one) - len(one.lstrip()) for one in lines[1:]} == {len("  runs  ")}
 
 
+def test_no_line_of_a_table_ends_in_blanks() -> None:
+    """Print what can be pasted into a document, and nothing that breaks where a window is a little narrower."""
+    long = table("t", "", ["a", "b"], [["1", "short"], ["2", "a text that is longer than the others"]])
+    many = table("t", "", [*"abcdefgh"], [["x" * 30] * 8])
+    shown = printed(Document("", (long, many)))
+    assert "short" in shown
+    assert all(one == one.rstrip() for one in shown.splitlines())
+
+
+def test_the_first_line_is_as_wide_as_the_terminal_although_the_others_hang() -> None:
+    """Fill the first line to the edge, and the others from their indentation on."""
+    name, words = "n" * 30, "four " * 40
+    first, *others = printed(Document("", (facts((name, words)),))).splitlines()
+    assert len(first) > 115
+    assert all(one.startswith(" " * 32) and len(one) > 115 for one in others[:-1])
+    assert " ".join([first, *others]).split() == [name, *words.split()]
+
+
 @pytest.mark.parametrize("length", [10, 47, 48, 90])
 def test_a_long_name_takes_no_room_that_others_need(length: int) -> None:
     rows = [["n" * length, *(f"value-of-column-{c}" for c in range(5))], ["m", "1", "2", "3", "4", "5"]]
