@@ -199,9 +199,15 @@ def _compared(draft: _Draft, findings: list[Finding], alpha: float) -> ComparedC
         )
     ]
     notes += seeds_said(draft.base, draft.head)
+    if not draft.order.interleaved:
+        findings = [replace(f, drift=_clocked(f)) for f in findings]
     return ComparedConfiguration(
         draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings, alpha)), tuple(notes), draft.timed
     )  # fmt: skip
+
+
+def _clocked(finding: Finding) -> bool:
+    return finding.axis is Axis.THROUGHPUT and finding.p_value is not None
 
 
 def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[str]:
@@ -212,7 +218,7 @@ def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[
             "base and head were recorded on different machines: speed and memory are not compared; gsb-eval BASE HEAD "
             "shows both machines side by side"
         )
-    clocked = any(f.axis is Axis.THROUGHPUT and f.p_value is not None for f in findings)
+    clocked = any(map(_clocked, findings))
     if clocked and not order.known:
         lines.append(
             "the recordings do not say in which order they were made: drift of the machine cannot be told from a change"

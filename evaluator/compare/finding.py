@@ -80,6 +80,7 @@ class Finding:
     missing     why it is not compared
     applies     whether either side has such a thing; where neither has, there is nothing to decide
     left_open   changes as large as matters that these runs do not exclude; empty where the verdict stands
+    drift       whether a drift of the machine may be all of the difference, for the sides were not recorded in turn
     """
 
     axis: Axis
@@ -106,6 +107,7 @@ class Finding:
     missing: str = ""
     applies: bool = True
     left_open: tuple[Change, ...] = ()
+    drift: bool = False
 
     def fails(self, settings: Settings) -> bool:
         """Whether it fails a gate."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from functools import partial
 
-from gpusimbench.evaluator.compare.finding import Change, Finding
+from gpusimbench.evaluator.compare.finding import DIFFERENT, Change, Finding
 from gpusimbench.evaluator.compare.result import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.episodes.document import difference, number
 from gpusimbench.evaluator.render.numbers import NONE, bounds, figure, scaled
@@ -46,6 +46,8 @@ def verdict(finding: Finding, result: Result) -> str:
         Change.SMALL: f"differs, below {threshold}",
         Change.NEAR: f"differs, perhaps below {threshold}",
     }.get(finding.change, finding.change.value)
+    if finding.drift and finding.change in DIFFERENT:
+        word += ", or drift"
     if finding.fails(result.settings):
         return word.upper()
     different = finding.change in (Change.REGRESSION, Change.CHANGED)

@@ -138,6 +138,19 @@ def test_drift_that_turns_cancel(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ]
 
 
+@pytest.mark.parametrize(
+    ("order", "words"), [("AAAAAABBBBBB", "improvement, or drift"), ("ABBAABBAABBA", "improvement")]
+)
+def test_an_order_that_leaves_two_causes(
+    order: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Say of a throughput that rose that drift may be the cause, unless the sides were recorded in turn."""
+    base, head = write_sides(tmp_path, timed(2.0), timed(), order)
+    main(["--base", str(base), "--head", str(head)])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("throughput")]
+    assert line.endswith(words)
+
+
 def test_few_runs_that_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Count the runs of either side, and leave the amount of a change open that so few runs give no interval of."""
     sides = write_sides(tmp_path, timed()[:4], timed(2.0)[:3], "ABABABA")
