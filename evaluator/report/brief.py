@@ -37,7 +37,7 @@ from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
-from gpusimbench.evaluator.runs.groups import shown_status
+from gpusimbench.evaluator.runs.groups import shown_ending
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
 from gpusimbench.schemas.gathering import gathered
@@ -201,7 +201,7 @@ def _incomplete(results: Sequence[GroupResult]) -> Iterator[str]:
         runs = result.group.recordings
         if ended := [run for run in runs if run.status != "complete"]:
             of_all = f"{len(ended)} of {plural(len(runs), 'run')} not complete"
-            yield cut(f"{result.label}: {of_all}: {shown_status(ended[0])}: {ended[0].reason}", _REASON)
+            yield cut(f"{result.label}: {of_all}: {shown_ending(ended[0])}", _REASON)
 
 
 def _signs(rows: Sequence[Sequence[Cell | str]], results: Sequence[GroupResult]) -> str:
@@ -241,6 +241,7 @@ def _fastest(found: Fastest, results: Sequence[GroupResult]) -> str:
     where = f"{found.scene} on {found.device or 'an unnamed device'}"
     said = f"Fastest valid simulator in {where}: "
     said += f"{found.first.result.label}, {found.first.said}" if found.first else "none"
+    said += " (mechanics not checked)" if found.first and found.first.unchecked else ""
     if rival := found.rival:
         said += f"; not shown to be slower: {rival.result.label}, {rival.said}"
     passed = [f"{few([r.label for r in those], _PASSED)} ({why})" for why, those in not_ranked(found, results).items()]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput, ranked_words, shown_slower
-from gpusimbench.evaluator.results.faults import faults_anywhere
+from gpusimbench.evaluator.results.faults import checked_anywhere, faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import largest_comparable, window_key
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, Ranked, configuration, ranked
@@ -22,11 +22,15 @@ _UNKNOWN = "no run of this configuration has errors against tosses"
 
 @dataclass(frozen=True)
 class Speed:
-    """The fastest group of a simulator in one scene on one device, of its complete runs."""
+    """The fastest group of a simulator in one scene on one device, of its complete runs.
+
+    unchecked  whether no check of mechanics could be made of its engine, in any scene
+    """
 
     scene: str
     device: str
     result: GroupResult
+    unchecked: bool = False
 
     @property
     def fps(self) -> float:
@@ -104,7 +108,8 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
                 **{configuration(one.result): one.less_accurate for one in accurate},
             }
             faults |= {r.label: errs.get(configuration(r), _UNKNOWN) for r in alike if not faults[r.label]}
-        sound = _best([r for r in alike if not faults[r.label]], scene, device)
+        sound = _best([r for r in alike if not faults[r.label]], scene, device)[:2]
+        sound = [replace(s, unchecked=not checked_anywhere(s.result, results)) for s in sound]
         kinds = {r.label: _kind(r, faults[r.label], results) for r in alike if faults[r.label]}
         wrong = _best([r for r in alike if faults[r.label]], scene, device, kinds)
         first, second = (*sound, None, None)[:2]
@@ -115,7 +120,7 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
             first,
             second,
             tuple((s, faults[s.result.label]) for s in wrong if first is None or s.fps > first.fps),
-            tuple(line for line in timed.remarks(s.result for s in sound[:2]) if line != timed.LEGEND),
+            tuple(line for line in timed.remarks(s.result for s in sound) if line != timed.LEGEND),
             tuple(s for s in others if first is None or s.fps > first.fps),
         )
 

@@ -55,6 +55,16 @@ def faults_anywhere(result: GroupResult, results: Sequence[GroupResult]) -> tupl
     return tuple(dict.fromkeys(f"{wrong} ({r.group.key.scene})" for r, wrong in ours if wrong))
 
 
+def checked_anywhere(result: GroupResult, results: Sequence[GroupResult]) -> bool:
+    """Whether a check of mechanics could be made of a group, or of another group that is held against it."""
+    engine, key = _engine(result), result.group.key
+    return any(
+        r is result or (_engine(r) == engine and (r.group.key.dt == key.dt or r.group.key.scene != key.scene))
+        for r in results
+        if r.fidelity.checkable
+    )
+
+
 def _held_against(result: GroupResult, engine: GroupKey, other: GroupResult) -> Faults:
     """What is wrong with another group that is held against a group of an engine."""
     found, same_step = Faults(), result.group.key.dt == other.group.key.dt

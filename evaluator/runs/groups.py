@@ -131,13 +131,18 @@ def shown_status(recording: Described) -> str:
     return f"{status} ({recording.cause})" if recording.cause else status
 
 
+def shown_ending(recording: Described) -> str:
+    """The status, and why; a reason that begins with the kind of thing does not repeat it."""
+    return f"{shown_status(recording)}: {recording.reason.removeprefix(f'{recording.cause}: ')}"
+
+
 def status_notes(group: Group[Described]) -> list[str]:
     """What a reader must know of runs that no metric is computed from, or that may not be on the disk."""
     found: dict[str, list[int]] = {}
     for recording in group.recordings:
         run = recording.configuration.run_index
         if recording.status != "complete":
-            found.setdefault(f"{shown_status(recording)}: {recording.reason}", []).append(run)
+            found.setdefault(shown_ending(recording), []).append(run)
         if why := recording.unconfirmed:
             found.setdefault(why, []).append(run)
         for lost in recording.dropouts:

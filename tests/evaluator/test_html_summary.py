@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpusimbench.evaluator.render.document import Cell, Facts, Text, Tone
+from gpusimbench.evaluator.render.document import Cell, Facts, Section, Text, Tone
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.document import render_html, report
@@ -233,6 +233,23 @@ def test_who_is_as_fast(quick: tuple[float, ...], other: tuple[float, ...], riva
     said = " ".join(terminal.getvalue().split())
     assert "Fastest valid simulator in inclined-collision on" in said and ": quick, " in said
     assert ("; not shown to be slower: other, " in said) == rival
+
+
+def test_a_first_place_without_states_says_so(tmp_path: Path) -> None:
+    """Say that mechanics were not checked, unless states of another scene were, and name points of sweeps first."""
+    for simulator, speed in (("fast", 4e5), ("slow", 1e5)):
+        write_sweep(tmp_path, (512, 1024, 2048), simulator=simulator, scene="free-fall", speed=speed, proven=True)
+    write_recording(tmp_path, grid(2), simulator="slow", gpu_bytes=(0, 10**9), proven=True)
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    (swept,) = [one for one in fastest(evaluation.results) if one.scene == "free-fall"]
+    assert swept.first is not None and swept.second is not None  # noqa: PT018
+    assert (swept.first.unchecked, swept.second.unchecked) == (True, False)
+    terminal = io.StringIO()
+    print_document(brief(evaluation), terminal)
+    assert re.search(r"free-fall on [^:]*: fast [^;]*env-steps/s \(mechanics not checked\)", terminal.getvalue())
+    document = report(Source(evaluation, False, ""))
+    (section,) = [block for block in document.blocks if isinstance(block, Section) and block.key == "throughput"]
+    assert "free-fall: fast" in section.summary
 
 
 def test_each_faster_group_has_its_own_reason(tmp_path: Path) -> None:

@@ -230,7 +230,8 @@ def _speed_cell(speed: Speed | None) -> Cell:
     if speed is None:
         return Cell("none", tone=Tone.QUIET)
     fps, key = ranked(speed.result.metrics[FPS.name]), speed.result.group.key
-    return Cell(f"{key.simulator}: {fps.text}", notes=(plural(key.n_env, "env", spec=","), *fps.notes))
+    unchecked = ("mechanics not checked",) if speed.unchecked else ()
+    return Cell(f"{key.simulator}: {fps.text}", notes=(plural(key.n_env, "env", spec=","), *fps.notes, *unchecked))
 
 
 def _barred(found: Fastest, results: Sequence[GroupResult]) -> Cell:

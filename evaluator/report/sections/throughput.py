@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Item, Section, Text, Tone, items
@@ -60,7 +60,8 @@ def section(source: Source) -> Section | Missing | None:
         blocks.append(listed)
     if ran:
         blocks += _costs(source, ran)
-    return Section("throughput", "Throughput and memory", tuple(blocks), _summary(source.shown), folded=True)
+    said = _summary(source.evaluation.results)
+    return Section("throughput", "Throughput and memory", tuple(blocks), said, folded=True)
 
 
 def _speeds(source: Source, results: list[GroupResult]) -> Iterator[Block]:
@@ -144,8 +145,8 @@ def _fewer(metric: Metric) -> Callable[[GroupResult], Iterable[str]]:
     return said
 
 
-def _summary(results: list[GroupResult]) -> str:
-    """The fastest valid simulator of each scene; see `leaders`."""
+def _summary(results: Sequence[GroupResult]) -> str:
+    """The fastest valid simulator of each scene, points of sweeps included; see `leaders`."""
     found = [one.first for one in fastest(results) if one.first]
     if not found:
         return "mean ± SD of each group"
