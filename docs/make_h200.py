@@ -201,7 +201,8 @@ def _memory(sweep: Sweep) -> str:
     model = sweep.models.get(sweep.memory)
     if not model:
         return _NONE
-    off = f"off by up to {100 * model.largest_residual:.0f} %"
+    percent = f"{100 * model.largest_residual:.0f}"
+    off = "off by less than 1 %" if percent == "0" else f"off by up to {percent} %"
     return f"{model.fixed / 1e6:,.0f} MB + {model.per_env / 1e3:,.0f} kB per env, {off}"
 
 
