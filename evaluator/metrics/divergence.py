@@ -120,6 +120,7 @@ class GrowthFit:
     begin_s, end_s  times of the first and the last of them [s]
     power_r_squared  as r_squared, of a power of the time since the last step without a distance,
                   log(distance) = k log(t - t0) + constant
+    why_no_rate   why the slope is not told to people as a rate of growth; empty where it is
     """
 
     rate: float
@@ -128,20 +129,7 @@ class GrowthFit:
     begin_s: float
     end_s: float
     power_r_squared: float
-
-    @property
-    def why_no_rate(self) -> str:
-        """Why the slope is not told to people as a rate of growth; empty where it is."""
-        if self.r_squared < MIN_R_SQUARED:
-            shown = math.floor(self.r_squared * 100) / 100
-            return f"no rate: R2 {shown:.2f} of the exponential is below {MIN_R_SQUARED:g}"
-        # a line through 100 points of any power of time has an R2 of 0.80
-        if self.r_squared < self.power_r_squared:
-            return (
-                f"no rate: the distance grows as a power of time (R2 {self.power_r_squared:.3f}) rather than as an "
-                f"exponential ({self.r_squared:.3f})"
-            )
-        return ""
+    why_no_rate: str
 
     @property
     def doubling_time(self) -> float | None:
@@ -187,7 +175,24 @@ def fit_growth(
     since = times[begin - 1] if begin else times[0] - (times[1] - times[0])
     log_since = np.log(t - since)
     _, left_of_power = _line(log_since - log_since.mean(), y0)
-    return GrowthFit(rate, 1 - left / total, len(window), float(t[0]), float(t[-1]), 1 - left_of_power / total)
+    r_squared, of_power = 1 - left / total, 1 - left_of_power / total
+    return GrowthFit(
+        rate, r_squared, len(window), float(t[0]), float(t[-1]), of_power, why_no_rate(r_squared, of_power)
+    )
+
+
+def why_no_rate(r_squared: float, power_r_squared: float) -> str:
+    """Why the slope of an exponential fit is no rate of growth; empty where it is. Arguments as in GrowthFit."""
+    if r_squared < MIN_R_SQUARED:
+        shown = math.floor(r_squared * 100) / 100
+        return f"no rate: R2 {shown:.2f} of the exponential is below {MIN_R_SQUARED:g}"
+    # a line through 100 points of any power of time has an R2 of 0.80
+    if r_squared < power_r_squared:
+        return (
+            f"no rate: the distance grows as a power of time (R2 {power_r_squared:.3f}) rather than as an "
+            f"exponential ({r_squared:.3f})"
+        )
+    return ""
 
 
 def _line(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> tuple[float, float]:

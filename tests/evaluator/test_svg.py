@@ -376,7 +376,7 @@ def every_figure() -> list[str]:
     curve = scaling.Curve(0, "a", ((1.0, 10.0), (2.0, 20.0)), model=lambda n: 10 * n, n_max=2, failed=4)
     times = np.arange(1.0, 9.0) / 10
     grown = 1e-6 * np.exp(8 * times)
-    apart = divergence.Curve(0, "a", times, grown, grown / 2, GrowthFit(8.0, 1.0, 8, 0.1, 0.8, 0.9))
+    apart = divergence.Curve(0, "a", times, grown, grown / 2, GrowthFit(8.0, 1.0, 8, 0.1, 0.8, 0.9, ""))
     split = SplitTree((Branch(0, None, 0, 4, 2, (0, 1)), Branch(2, 0, 5, 2, 2, (2, 3))), 0, 0, 10)
     return [
         matrix.matrix_map(values, of="env", name=HOSTILE),
