@@ -15,10 +15,11 @@ import gymnasium
 import numpy as np
 import pytest
 
-from gpusimbench import RecordingWriter, UsageError, open_recording, record_rollout, verify, wrap
+from gpusimbench import RecordingWriter, UsageError, open_recording, record_rollout, wrap
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.device import rows
 from gpusimbench.schemas.errors import DataLost
+from tests.reading import verified
 from tests.recorder.engines import needed
 
 jax, jnp = needed("jax"), needed("jax.numpy")
@@ -80,9 +81,7 @@ def stepped(env: Any, path: Path, *, steps: int = 8, action: Any = None, before:
         state = recorded.reset(key())
         for step in range(steps):
             state = recorded.step(before(step, state) if before else state, action or jnp.zeros((N_ENV, 1)))
-    recording = open_recording(path)
-    verify(recording)
-    return recording
+    return verified(path)
 
 
 @pytest.mark.parametrize("autoreset", [False, True])
@@ -305,6 +304,5 @@ def test_an_interruption_while_the_disk_is_behind(
             recorded.close()
     finally:
         signal.signal(number, before)
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert (recording.status, recording.configuration.steps) == ("complete", 70)
