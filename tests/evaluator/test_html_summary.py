@@ -6,7 +6,6 @@ import io
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,8 +22,10 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import DEMANDED
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
-from gpusimbench.schemas.provenance import PROVENANCE, OverflowBit
-from tests.synthetic import Shown, grid, write_recording, write_sweep
+from gpusimbench.schemas.provenance import OverflowBit
+from tests.synthetic import Shown, configured, grid, write_recording, write_sweep
+
+VARIED = configured(vary="mass:0.1")
 
 
 def evaluate(folder: Path) -> Evaluation:
@@ -160,13 +161,9 @@ def test_other_timed_steps_are_not_ranked(tmp_path: Path) -> None:
 def test_a_slower_simulator_timed_over_other_steps_is_not_told(tmp_path: Path) -> None:
     """Name beside the fastest only what was faster; other conditions than timed steps are no reason to name a group."""
 
-    def varied(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["configuration"]["vary"] = "mass:0.1"
-
     for simulator, warmup, seconds in (("a", 100, 2.0), ("b", 100, 3.0), ("slow", 20, 40.0)):
         write_recording(tmp_path, grid(2), simulator=simulator, warmup=warmup, elapsed_s=seconds, proven=True)
-    write_recording(tmp_path, grid(2), simulator="quick", elapsed_s=0.1, proven=True, change=varied)
+    write_recording(tmp_path, grid(2), simulator="quick", elapsed_s=0.1, proven=True, change=VARIED)
     (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
     assert found.other_steps == ()
 
@@ -181,14 +178,10 @@ def _printed(evaluation: Evaluation) -> str:
 def test_varied_environments_are_not_ranked(tmp_path: Path) -> None:
     """Rank environments of the scene alone, whatever the number of others."""
 
-    def varied(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["configuration"]["vary"] = "mass:0.1"
-
     for simulator, seconds in (("a", 2.0), ("b", 3.0)):
         write_recording(tmp_path, grid(2), simulator=simulator, elapsed_s=seconds, proven=True)
     for simulator in ("quick", "b", "c"):
-        write_recording(tmp_path, grid(2), simulator=simulator, elapsed_s=0.1, proven=True, change=varied)
+        write_recording(tmp_path, grid(2), simulator=simulator, elapsed_s=0.1, proven=True, change=VARIED)
     (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
     assert found.first is not None and found.second is not None  # noqa: PT018
     assert (found.first.result.label, found.second.result.label) == ("a", "b")

@@ -24,7 +24,7 @@ from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
 from gpusimbench.schemas.messages import embedded_schema, widened_schema
 from gpusimbench.schemas.writing import new_file
 from tests.conftest import call
-from tests.synthetic import grid, write_recording
+from tests.synthetic import configured, grid, write_recording
 from tests.test_docs import ROOT, commands
 
 SHIPPED = ROOT / "recordings" / "mujoco-pyramidal-r0.mcap"
@@ -111,11 +111,7 @@ def test_reading_more_than_the_file_takes(moving: Path, tmp_path: Path) -> None:
 def test_a_packed_file_cannot_announce_more_than_it_holds(tmp_path: Path) -> None:
     """Refuse to allocate for environments that no block holds, though packed blocks may hold more than the file."""
 
-    def change(name: str, record: dict[str, Any]) -> None:
-        if name == "provenance.json":
-            record["configuration"]["n_env"] = 1 << 22
-
-    source = write_recording(tmp_path, grid(4), steps=50, dt=0.01, change=change)
+    source = write_recording(tmp_path, grid(4), steps=50, dt=0.01, change=configured(n_env=1 << 22))
     with new_file(tmp_path / "packed.mcap") as target:
         copier = Copier(target, source, compression="zstd", change=pack_state)
         for record, _, _ in records_of(source):
