@@ -13,13 +13,13 @@ import pytest
 
 from gpusimbench import DamagedRecording, UsageError, open_recording
 from gpusimbench.evaluator.read.episodes import episodes
-from gpusimbench.recorder.demonstrations.data_set import DataSet
 from gpusimbench.recorder.demonstrations.formats import data_set_at
 from gpusimbench.recorder.demonstrations.writing import write
 from gpusimbench.replay.parts import parts_of
 from gpusimbench.schemas.vector import MODELS
 from tests.conftest import call
 from tests.reading import verified
+from tests.test_replay_maniskill import found_at
 
 gymnasium = pytest.importorskip("gymnasium")
 h5py = pytest.importorskip("h5py")
@@ -58,13 +58,6 @@ def written(path: Path, *, collected: bool = False, change: Callable[[Any], None
                 demo["rewards"], demo["dones"] = np.arange(length) / 10, np.arange(length) == length - 1
         change(data)
     return path
-
-
-def found_at(path: Path) -> DataSet:
-    """The data set at a path."""
-    found = data_set_at(path)
-    assert found is not None
-    return found
 
 
 @pytest.mark.parametrize("collected", [False, True])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +20,6 @@ from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, ranked
 from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
-from gpusimbench.recorder.trials.tosses import VARIABLE
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.tosses import EVEN, ODD, judged_on
 from tests.conftest import call, made_once, recorded
@@ -34,11 +32,6 @@ _KNOWN = (
     {"name": "cone", "type": "str", "default": "elliptic"},
 )
 _SCENE = {"friction": 0.18}
-
-
-@pytest.fixture(autouse=True)
-def _no_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(VARIABLE, raising=False)
 
 
 def test_parameters() -> None:
@@ -139,7 +132,6 @@ def _fit(folder: Path) -> None:
     done = call(
         "gsb-fit", "--sim", "mujoco", "--parameters", "friction", "--option", "friction=0.3", "--budget", "9",
         "--out", folder / "fit", "--json", folder / "fit.json",
-        env={name: value for name, value in os.environ.items() if name != VARIABLE},
     )  # fmt: skip
     assert done.returncode == ExitCode.OK, done.stderr
     (folder / "said.txt").write_text(done.stdout, encoding="utf-8")

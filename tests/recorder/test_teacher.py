@@ -14,7 +14,7 @@ from gpusimbench.recorder.scenes.cube_toss import EDGE, RATE
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
-from gpusimbench.recorder.trials.tosses import VARIABLE, Tosses, lowest, read_tosses
+from gpusimbench.recorder.trials.tosses import Tosses, lowest, read_tosses
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.initial import GIVEN
@@ -22,11 +22,6 @@ from tests.conftest import Command, recorded
 
 _FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity")
 _RUN = ("--scene", "cube-toss", "--runs", "1", "--phases", "capture", "--no-view", "--n-env", "5")
-
-
-@pytest.fixture(autouse=True)
-def _no_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(VARIABLE, raising=False)
 
 
 def _states(path: Path) -> dict[str, NDArray[np.floating]]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.scenes.cube_toss import EDGE, RATE
-from gpusimbench.recorder.trials.tosses import PUBLISHED, SYNTHETIC, VARIABLE, read_tosses, rotated
+from gpusimbench.recorder.trials.tosses import PUBLISHED, SYNTHETIC, read_tosses, rotated
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.initial import GIVEN, Given
@@ -24,11 +24,6 @@ from tests.conftest import Command
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "cube_toss"
 """The measured set, on machines that have it beside the project."""
-
-
-@pytest.fixture(autouse=True)
-def _no_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(VARIABLE, raising=False)
 
 
 def _short(text: str) -> bytes:
