@@ -16,6 +16,7 @@ from gpusimbench import open_recording
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, RecordingError
 from tests.conftest import Command, command, run_python, wait_for
+from tests.limits import full_disk
 from tests.reading import verified
 
 
@@ -227,15 +228,11 @@ def test_a_folder_that_is_deleted(tmp_path: Path) -> None:
 
 def test_a_disk_that_takes_nothing(tmp_path: Path) -> None:
     """Send nobody to a file without a byte, which gsb-record removes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
-    try:
+    with full_disk(0):
         sink = Sink(tmp_path / "x.mcap", compression="none")
         with pytest.raises(DataLost, match="^writing stopped: File too large; nothing was written$"):
             sink.channel("/run/event", "gsb.v1.Event")
         sink.abandon()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_a_file_system_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

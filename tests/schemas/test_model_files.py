@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import struct
-import tracemalloc
 
 import pytest
 import zstandard
@@ -14,6 +13,7 @@ from hypothesis import strategies as st
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.model_files import _WORTH_BYTES, COMPRESSED, MAX_ARCHIVE_BYTES, MODEL, attachment, plain
 from tests.encoded import announcing
+from tests.limits import next_to_no_memory
 
 
 @given(
@@ -73,13 +73,8 @@ def test_a_frame_that_says_its_size_in_eight_bytes_is_read() -> None:
 )
 def test_liars_are_refused(data: bytes, said: str) -> None:
     """Name the attachment and what is wrong with it, and allocate next to nothing for finding out."""
-    tracemalloc.start()
-    try:
-        with pytest.raises(DamagedRecording, match=said):
-            plain(COMPRESSED, data)
-        assert tracemalloc.get_traced_memory()[1] < 1 << 20
-    finally:
-        tracemalloc.stop()
+    with next_to_no_memory(), pytest.raises(DamagedRecording, match=said):
+        plain(COMPRESSED, data)
 
 
 @given(length=st.integers(0, len(_BOMB) - 1))

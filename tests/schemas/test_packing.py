@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.packing import LEVELS, pack, unpack
 from tests.encoded import announcing, encode_state
+from tests.limits import next_to_no_memory
 
 _WORDS = {4: np.dtype("<u4"), 8: np.dtype("<u8")}
 
@@ -157,13 +157,8 @@ def test_the_frames_of_these_tests_are_frames() -> None:
 )
 def test_liars_are_refused_before_anything_is_allocated(data: bytes, message: str) -> None:
     """Name what is wrong with a packed block, and take next to no memory for finding out."""
-    tracemalloc.start()
-    try:
-        with pytest.raises(DamagedRecording, match=message):
-            decode_state(data)
-        assert tracemalloc.get_traced_memory()[1] < 1 << 20
-    finally:
-        tracemalloc.stop()
+    with next_to_no_memory(), pytest.raises(DamagedRecording, match=message):
+        decode_state(data)
 
 
 @given(st.data())
