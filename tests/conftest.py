@@ -51,6 +51,7 @@ if "GSB_TESTS_SHARE" not in os.environ:
     atexit.register(_left.close)
 SHARE = Path(os.environ["GSB_TESTS_SHARE"])
 os.environ["GSB_CACHE"] = str(SHARE / "results")
+os.environ.pop("GSB_CUBE_TOSS", None)  # the measured tosses of this machine: tests name those that they read
 os.environ["GSB_PROGRESS"] = "off"  # what is printed does not depend on how fast this machine is
 os.environ.update(  # what XLA compiles
     JAX_COMPILATION_CACHE_DIR=str(SHARE / "jax"),

@@ -1,7 +1,8 @@
-"""Blocks of states and actions as the bytes of one message; the writer has no need of them joined."""
+"""Blocks of states and actions as the bytes of one message, which the writer has no need of joined; forged frames."""
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 from numpy.typing import NDArray
@@ -17,3 +18,9 @@ def encode_state(array: NDArray[Any], **place: int) -> bytes:
 def encode_action(array: NDArray[Any], **place: int) -> bytes:
     """A serialised ActionBlock; see action_parts."""
     return b"".join(bytes(part.data) for part in action_parts(array, **place))
+
+
+def announcing(frame: bytes, size: int) -> bytes:
+    """The frame of Zstandard with another content size in its header, in eight bytes."""
+    assert frame[:4] == b"\x28\xb5\x2f\xfd"
+    return frame[:4] + b"\xe0" + struct.pack("<Q", size) + frame[6:]  # single segment, no dictionary, no checksum

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import finished, searched
+from tests.reading import verified
 from tests.test_docs import commands, shell
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -60,14 +60,12 @@ def test_the_packages_commands(installed: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_program_that_logs(tmp_path: Path) -> None:
     """Run what the document shows beside the program, and evaluate its recordings."""
-    from gpusimbench import open_recording
 
     shutil.copy(EXAMPLES / "log_your_own" / "log_states.py", tmp_path)
     for line in commands(EXAMPLES / "log_your_own" / "README.md"):
         done = shell(line, tmp_path, {"PYTHONPATH": searched(EXAMPLES.parent)})
     assert "three-balls" in done.stdout
     assert "throughput" in done.stdout
-    recording = open_recording(tmp_path / "run-1.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "run-1.mcap")
     assert recording.status == "complete"
     assert recording.state("cubes", "position").shape == (101, 8, 3, 3)

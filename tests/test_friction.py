@@ -8,9 +8,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from gpusimbench import open_recording
-from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import run_python
+from tests.reading import verified
 from tests.scripts import drawn
 from tests.scripts import script as script_beside
 
@@ -35,8 +34,7 @@ def test_the_recordings_are_whole_and_small(script: ModuleType) -> None:
     cases = {case.stem: case for case in (*script.PUBLISHED, *script.CHANGED)}
     assert {path.stem for path in files} == {*cases, "sapien"}
     for path in files:
-        recording = open_recording(path)
-        verify(recording)
+        recording = verified(path)
         assert recording.status == "complete"
         assert not recording.provenance.software["recorder"]["modified"]
         name = script.measured(path)[0].partition(",")[0]

@@ -14,8 +14,8 @@ from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import call
+from tests.reading import verified
 from tests.scripts import drawn, script
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -123,8 +123,7 @@ def test_every_file_is_whole() -> None:
     """Verify every byte of every recording of the three sets."""
     assert (len(FILES), len(NEWER), len(SWEPT)) == (65, 90, 103)
     for path in (*FILES, *NEWER, *SWEPT):
-        recording = open_recording(path)
-        verify(recording)
+        recording = verified(path)
         device = "NVIDIA H100 80GB HBM3" if path in SWEPT else "NVIDIA H200"
         assert recording.simulation is None or recording.simulation.device == device
 

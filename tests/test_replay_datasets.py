@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpusimbench import DamagedRecording, NotARecording, open_recording, verify
+from gpusimbench import DamagedRecording, NotARecording, open_recording
 from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.recorder.demonstrations.data_set import Demonstration
 from gpusimbench.recorder.demonstrations.hdf5 import made, opened, read
 from gpusimbench.recorder.demonstrations.writing import write
 from tests.conftest import call
+from tests.reading import verified
 
 gymnasium = pytest.importorskip("gymnasium")
 h5py = pytest.importorskip("h5py")
@@ -93,8 +94,7 @@ def test_data_sets_replay(task: str, tmp_path: Path) -> None:
     shown = call("gsb-replay", "grouped-v0", code=0, cwd=tmp_path).stdout  # which names its task
     assert "All 3 episodes replay bit for bit." in shown
     for name in ("flat", "grouped-v0"):
-        recording = open_recording(tmp_path / f"{name}.mcap")
-        verify(recording)
+        recording = verified(tmp_path / f"{name}.mcap")
         for there, one in zip(episodes(recording), of, strict=True):
             assert (there.terminated, there.truncated) == (one.terminated, one.truncated)
             assert (there.rewards == one.rewards).all() and (there.actions["action"] == one.actions["action"]).all()
@@ -147,8 +147,7 @@ def test_more_episodes_than_environments(tmp_path: Path) -> None:
         of.append(Demonstration(seen, actions, rng.random(n), number % 3 == 0, number % 3 == 1, number, {}))
     (tmp_path / "source.h5").write_bytes(b"of these")
     write(of, tmp_path / "a.mcap", opened(tmp_path / "source.h5"), spec_id="Task-v0", keywords={}, dt=0.1)
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     there = {one.env + 16 * one.number: one for one in episodes(recording)}
     assert sorted(there) == list(range(40))
     for number, one in enumerate(of):

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpusimbench import DamagedRecording, UsageError, open_recording, verify
+from gpusimbench import DamagedRecording, UsageError
 from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.recorder.demonstrations.data_set import DataSet
 from gpusimbench.recorder.demonstrations.formats import data_set_at
 from gpusimbench.recorder.demonstrations.writing import write
 from gpusimbench.replay.parts import parts_of
 from tests.conftest import call
+from tests.reading import verified
 
 pytest.importorskip("gymnasium")
 h5py = pytest.importorskip("h5py")
@@ -79,8 +80,7 @@ def test_what_is_read(tmp_path: Path) -> None:
     assert [len(one) for one in source.read(1, None)] == [LENGTHS[0]]
     every = source.read(None, None)
     write(every, tmp_path / "a.mcap", source, spec_id="PickCube-v1", keywords=source.made.keywords, dt=0.05)
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert recording.configuration.n_env == 1  # which goes through the episodes in their order
     of_file = list(episodes(recording))
     (parts,) = parts_of(recording)

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpusimbench import DamagedRecording, UsageError, open_recording, verify
+from gpusimbench import DamagedRecording, UsageError, open_recording
 from gpusimbench.evaluator.read.episodes import episodes
-from gpusimbench.recorder.demonstrations.data_set import DataSet
 from gpusimbench.recorder.demonstrations.formats import data_set_at
 from gpusimbench.recorder.demonstrations.writing import write
 from gpusimbench.replay.parts import parts_of
 from gpusimbench.schemas.vector import MODELS
 from tests.conftest import call
+from tests.reading import verified
+from tests.test_replay_maniskill import found_at
 
 gymnasium = pytest.importorskip("gymnasium")
 h5py = pytest.importorskip("h5py")
@@ -59,13 +60,6 @@ def written(path: Path, *, collected: bool = False, change: Callable[[Any], None
     return path
 
 
-def found_at(path: Path) -> DataSet:
-    """The data set at a path."""
-    found = data_set_at(path)
-    assert found is not None
-    return found
-
-
 @pytest.mark.parametrize("collected", [False, True])
 def test_what_is_read(collected: bool, tmp_path: Path) -> None:
     """Read states by their parts, actions, rewards, models, and how the environment was made."""
@@ -74,8 +68,7 @@ def test_what_is_read(collected: bool, tmp_path: Path) -> None:
     assert source.version == ("robosuite 1.5.2" if collected else "robosuite 1.5.1")
     assert [len(one) for one in source.read(1, space())] == [LENGTHS[1]]
     write(source.read(None, space()), tmp_path / "a.mcap", source, spec_id="Lift", keywords={}, dt=0.05)
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     (parts,) = parts_of(recording)
     with h5py.File(tmp_path / "a.hdf5") as file:
         for number, one, part in zip((9, 10), episodes(recording), parts, strict=True):

@@ -282,7 +282,8 @@ def write_figures(evaluation: Evaluation, folder: Path, *, published: bool) -> l
     """
     files: dict[Path, bytes | str] = {}
     environments = [HEAD]
-    for name, picture in named(_pictures(Source(evaluation, published, ""))):
+    drawn = report(Source(evaluation, published, "")).figures()
+    for name, picture in named(one for one in drawn if one.svg and one.key):
         svg = standalone(str(picture.svg), hatch())
         files[folder / f"{name}.svg"] = svg
         files[folder / f"{name}.pdf"] = to_pdf(svg, printable(picture.title))
@@ -305,7 +306,3 @@ def named(pictures: Iterable[Figure]) -> Iterator[tuple[str, Figure]]:
             name = f"{picture.file_name}-{number}"
         taken.add(name)
         yield name, picture
-
-
-def _pictures(source: Source) -> Iterator[Figure]:
-    yield from (one for one in report(source).figures() if one.svg and one.key)

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors
 from gpusimbench.evaluator.missing import Missing, known
@@ -55,7 +54,7 @@ def _mean_of(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimat
         found = _errors_of_runs(group.tosses)
         if isinstance(found, Missing):
             return found
-        per_toss = _per_toss(found, field) * factor
+        per_toss = np.mean([getattr(errors, field) for errors in found], axis=0) * factor
         floor = group.toss_floor
         floors = {"position": floor.position, "rotation": floor.rotation} if floor else {}
         return Estimate(
@@ -104,11 +103,6 @@ def _local(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate 
         )
 
     return estimate
-
-
-def _per_toss(found: list[TossErrors], field: str) -> NDArray[np.float64]:
-    """Mean over runs, one a toss."""
-    return np.asarray(np.mean([getattr(errors, field) for errors in found], axis=0))
 
 
 TOSS_POSITION = Metric(

@@ -93,16 +93,7 @@ def permutation_floor(
     rng = np.random.default_rng(seed)
     order = np.arange(len(a) + len(b))
     deals = np.array([rng.permutation(order) for _ in range(n_permutation)])
-    observed, extension, floor = _exchange(a, b, deals, mapper)
-    return PermutationFloor(
-        observed=observed,
-        floor_mean=float(floor.mean()),
-        floor_q95=float(np.quantile(floor, 0.95)),
-        p_value=(1 + _reached(floor, observed)) / (1 + n_permutation),
-        n_permutation=n_permutation,
-        seed=seed,
-        extension=extension,
-    )
+    return _floor(a, b, deals, mapper, undealt=1, seed=seed)
 
 
 def arrangements(a: int, b: int) -> int:
@@ -128,16 +119,7 @@ def exhaustive_floor(a: npt.ArrayLike, b: npt.ArrayLike) -> PermutationFloor:
     # of two equal sides, the one with env 0
     kept = [side for side in sides if len(a) != len(b) or side[0] == 0]
     deals = np.array([[*side, *sorted(set(range(count)) - set(side))] for side in kept])
-    observed, extension, floor = _exchange(a, b, deals, serial)
-    return PermutationFloor(
-        observed=observed,
-        floor_mean=float(floor.mean()),
-        floor_q95=float(np.quantile(floor, 0.95)),
-        p_value=_reached(floor, observed) / len(kept),
-        n_permutation=len(kept),
-        seed=0,
-        extension=extension,
-    )
+    return _floor(a, b, deals, serial, undealt=0, seed=0)
 
 
 def _sides(a: npt.ArrayLike, b: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -145,6 +127,29 @@ def _sides(a: npt.ArrayLike, b: npt.ArrayLike) -> tuple[npt.NDArray[np.float64],
     if a.shape[1:] != b.shape[1:]:
         raise ValueError(f"envs of different shape: {list(a.shape[1:])} and {list(b.shape[1:])}")
     return a, b
+
+
+def _floor(
+    a: npt.NDArray[np.float64],
+    b: npt.NDArray[np.float64],
+    deals: npt.NDArray[np.int64],
+    mapper: Mapper,
+    *,
+    undealt: int,
+    seed: int,
+) -> PermutationFloor:
+    """The observed W1 among those of some deals; undealt: 1 where the observed arrangement is none of them, else 0."""
+    observed, extension, floor = _exchange(a, b, deals, mapper)
+    reached = int((floor >= observed * (1.0 - _TIE)).sum())
+    return PermutationFloor(
+        observed=observed,
+        floor_mean=float(floor.mean()),
+        floor_q95=float(np.quantile(floor, 0.95)),
+        p_value=(undealt + reached) / (undealt + len(deals)),
+        n_permutation=len(deals),
+        seed=seed,
+        extension=extension,
+    )
 
 
 def _exchange(
@@ -176,10 +181,6 @@ def _exact(found: Transport) -> float:
     if found.exactness != "exact":
         raise ValueError("too many points a side: bounds of W1 cannot be ranked as its values can")
     return found.value
-
-
-def _reached(floor: npt.NDArray[np.float64], observed: float) -> int:
-    return int((floor >= observed * (1.0 - _TIE)).sum())
 
 
 def _pooled(envs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

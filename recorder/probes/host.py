@@ -37,7 +37,7 @@ def describe_host() -> dict[str, Any]:
     import psutil
 
     return {
-        "cpu": _cpu_model(),
+        "cpu": _cpuinfo("model name") or platform.processor() or "unknown",
         "cpu_flags": _cpu_flags(),
         "cores": psutil.cpu_count(logical=False),
         "threads": psutil.cpu_count(),
@@ -100,10 +100,6 @@ def _cpuinfo(key: str) -> str:
     except OSError:
         pass
     return ""
-
-
-def _cpu_model() -> str:
-    return _cpuinfo("model name") or platform.processor() or "unknown"
 
 
 def _cpu_flags() -> list[str]:

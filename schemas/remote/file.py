@@ -17,7 +17,7 @@ from urllib.parse import unquote
 
 from gpusimbench.schemas.errors import DamagedRecording, Unreachable
 from gpusimbench.schemas.location import Location, chain, is_address, redacted
-from gpusimbench.schemas.remote.web import WrongAnswer, web_options, web_part
+from gpusimbench.schemas.remote.web import LIST_S, WrongAnswer, web_options, web_part
 from gpusimbench.schemas.source import Source
 
 _T = TypeVar("_T")
@@ -31,7 +31,6 @@ _ANSWER_S = 30.0
 _FILE_S = 60.0
 _END_S = 5.0
 _LEAST_RATE = 32 << 10  # [byte/s]; time that bytes may take is added to the two above
-_LIST_S = 300.0
 _MOST_BYTES = 1 << 44  # no recording has more
 _CONFIRM_S = 1.0  # at most this often, the server is asked whether the file is still the same
 _WEB = ("http", "https")
@@ -249,7 +248,7 @@ def matching(pattern: Location, most: int) -> list[Location]:
         return [pattern]
     system, path = _file_system(pattern)
     try:
-        patience = Patience(_LIST_S, _LIST_S, _LEAST_RATE)
+        patience = Patience(LIST_S, LIST_S, _LEAST_RATE)
         if patience.call(lambda: system.isfile(path), 0):
             return [pattern]
         listed = path.removesuffix(query)
@@ -285,10 +284,10 @@ def _file_system(location: Location) -> tuple[Any, str]:
         import fsspec
 
         if _is_web(location):
-            options = web_options(_LIST_S)
+            options = web_options()
         else:  # as in zip://a.mcap::https://...
             behind = {part.partition("://")[0] for part in chain(location.url)}
-            options = {scheme: web_options(_LIST_S) for scheme in behind & {*_WEB}}
+            options = {scheme: web_options() for scheme in behind & {*_WEB}}
         system, path = fsspec.core.url_to_fs(location.url, **options)
         if location.url.lower().startswith("file://") and "%" in path and not system.exists(path):
             path = unquote(path)

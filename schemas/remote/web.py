@@ -15,6 +15,7 @@ from gpusimbench.schemas.location import shown
 
 _AT_ONCE = 1 << 20
 _CONNECT_S = 15.0
+LIST_S = 300.0  # for any request that has no limit of its own
 _MOST_LISTED = 16 << 20  # bytes of a page that lists files
 _PORTS = {"http": 80, "https": 443}
 
@@ -37,11 +38,8 @@ def web_part(system: Any, path: str, begin: int, end: int, limit_s: float) -> by
     return data
 
 
-def web_options(total_s: float) -> dict[str, Any]:
-    """What fsspec's HTTPFileSystem is made with, so that servers do nothing but answer.
-
-    total_s  for any request that has no limit of its own [s]
-    """
+def web_options() -> dict[str, Any]:
+    """What fsspec's HTTPFileSystem is made with, so that servers do nothing but answer."""
     import aiohttp
 
     return {
@@ -49,7 +47,7 @@ def web_options(total_s: float) -> dict[str, Any]:
         "get_client": _client,
         "client_kwargs": {
             "auto_decompress": False,  # a few bytes may become any number
-            "timeout": aiohttp.ClientTimeout(total=total_s, sock_connect=_CONNECT_S),
+            "timeout": aiohttp.ClientTimeout(total=LIST_S, sock_connect=_CONNECT_S),
         },
     }
 

@@ -47,15 +47,13 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
     found = {}
     for name, options in asked.items():
-        done = call("gsb-record", *_COMMON, *options, "--out", folder / name)
-        assert done.returncode == 0, done.stderr
+        done = call("gsb-record", *_COMMON, *options, "--out", folder / name, code=0)
         found[name] = Path(done.stdout.split()[0])
     return found
 
 
 def _laws(path: Path) -> dict[str, dict[str, object]]:
-    done = call("gsb-eval", path, "--json", "-")
-    assert done.returncode == 0, done.stderr
+    done = call("gsb-eval", path, "--json", "-", code=0)
     (group,) = json.loads(done.stdout)["groups"]
     return {law["key"]: law for law in group["laws"]}
 
@@ -222,8 +220,7 @@ def test_a_run_that_blew_up_says_why_it_has_no_laws(
 )
 def test_a_law_that_is_not_measured_says_why(tmp_path: Path, asked: tuple[str, ...], why: str) -> None:
     """Print the reason on the first page, in the table and in the JSON, where a recording is too short or changed."""
-    done = call("gsb-record", *_COMMON, *asked, "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = call("gsb-record", *_COMMON, *asked, "--out", tmp_path, code=0)
     path = done.stdout.split()[0]
     for more in ((), ("--all",)):
         assert why.rpartition(": ")[2] in " ".join(call("gsb-eval", path, *more).stdout.split())

@@ -23,6 +23,7 @@ RECORDINGS = ROOT / "recordings"
 TURNS = "ABBAABBAABBA"
 NOISE = np.array([0.01, -0.02, 0.015, -0.005, 0.0, 0.02])
 EXPECT_SAME = "--expect-same"
+EDITED = changing(SIMULATION, "scene", sha256="ed" * 32)
 
 
 def stamped(second: int, host: dict[str, Any] | None = None) -> Any:
@@ -527,13 +528,9 @@ def test_an_edited_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     def moving(_: Any, step: int) -> Any:
         return grid(2) + np.array([0.01 * step, 0.0, 0.0])
 
-    def edited(name: str, record: dict[str, Any]) -> None:
-        if name == SIMULATION:
-            record["scene"]["sha256"] = "ed" * 32
-
     for run in range(2):
         sides: tuple[tuple[str, int, dict[str, Any]], ...] = (
-            ("base", 3, {}), ("edited", 3, {"change": edited}), ("other", 4, {"scene": "free-fall"}),
+            ("base", 3, {}), ("edited", 3, {"change": EDITED}), ("other", 4, {"scene": "free-fall"}),
         )  # fmt: skip
         for side, steps, changes in sides:
             (tmp_path / side).mkdir(exist_ok=True)
@@ -557,12 +554,8 @@ def test_an_edited_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 def test_several_edited_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Compare each scene with its own edited version, though any scene may be compared with any other."""
 
-    def edited(name: str, record: dict[str, Any]) -> None:
-        if name == SIMULATION:
-            record["scene"]["sha256"] = "ed" * 32
-
     sides = (tmp_path / "base", tmp_path / "head")
-    for side, changes in zip(sides, ({}, {"change": edited}), strict=True):
+    for side, changes in zip(sides, ({}, {"change": EDITED}), strict=True):
         side.mkdir()
         for run, scene in enumerate(("inclined-collision", "free-fall")):
             write_recording(side, grid(2), run=run, scene=scene, elapsed_s=None, **changes)

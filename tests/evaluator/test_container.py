@@ -19,6 +19,7 @@ from gpusimbench.schemas.errors import DamagedRecording, NotARecording, Recordin
 from gpusimbench.schemas.mcap import reader
 from gpusimbench.schemas.mcap.reader import Container
 from tests.forging import copied
+from tests.reading import verified
 from tests.synthetic import grid, write_recording
 
 compressions = pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
@@ -34,8 +35,7 @@ def tiny(tmp_path: Path) -> Path:
 def test_same_content_however_compressed(tmp_path: Path, compression: str) -> None:
     """Give the same arrays and the same digests whatever the chunks are compressed with."""
     final = np.random.default_rng(0).standard_normal((3, 27, 3))
-    recording = open_recording(write_recording(tmp_path, final, compression=compression))
-    verify(recording)
+    recording = verified(write_recording(tmp_path, final, compression=compression))
     assert np.array_equal(recording.state("cubes", "position")[-1], final)
 
 
@@ -113,8 +113,7 @@ def test_no_flipped_bit_passes(tmp_path: Path, compression: str) -> None:
         changed[position] ^= 1 << rng.randrange(8)
         flipped.write_bytes(changed)
         try:
-            recording = open_recording(flipped)
-            verify(recording)
+            recording = verified(flipped)
         except RecordingError:
             continue
         if recording.status == "incomplete":
@@ -142,8 +141,7 @@ def test_any_mutation_is_an_error_of_ours(tiny: Path, tmp_path: Path) -> None:
                 changed[a : a + 64] = rng.randbytes(64)
         mutated.write_bytes(changed)
         try:
-            recording = open_recording(mutated)
-            verify(recording)
+            recording = verified(mutated)
             for field in recording.fields:
                 np.asarray(recording.state(field.group, field.field))
             _ = recording.timing, recording.memory, recording.events, recording.dropouts, recording.scene
@@ -178,8 +176,7 @@ def test_something_else_is_named(tmp_path: Path) -> None:
 def test_bytes_that_change_after_they_were_verified(tmp_path: Path) -> None:
     """Notice that a number of a state was overwritten in the file itself, though its chunk was read before."""
     path = write_recording(tmp_path, grid(3), steps=5)
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     container = recording._container
     (topic,) = [topic for topic in container.channels if topic.startswith("/state/")]
     content = container.read(container.messages(topic)[0])[1]

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from gpusimbench.evaluator.inputs.file_set import without_copies
-from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
+from gpusimbench.evaluator.inputs.reader import Unreadable, read_run
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import DamagedRecording
 
@@ -18,9 +19,7 @@ RECORDINGS = Path(__file__).resolve().parents[2] / "recordings"
 @pytest.fixture(scope="module")
 def run() -> Run:
     """A shipped run."""
-    found = Reader(5.0, verify=False)(RECORDINGS / "mujoco-amd-r0.mcap")
-    assert isinstance(found, Run)
-    return found
+    return read_run(Recording(RECORDINGS / "mujoco-amd-r0.mcap"), 5.0)
 
 
 def test_the_whole_file_stays(run: Run) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +20,6 @@ from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, ranked
 from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
-from gpusimbench.recorder.trials.tosses import VARIABLE
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.tosses import EVEN, ODD, judged_on
 from tests.conftest import call, made_once, recorded
@@ -34,11 +32,6 @@ _KNOWN = (
     {"name": "cone", "type": "str", "default": "elliptic"},
 )
 _SCENE = {"friction": 0.18}
-
-
-@pytest.fixture(autouse=True)
-def _no_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(VARIABLE, raising=False)
 
 
 def test_parameters() -> None:
@@ -138,10 +131,8 @@ def test_which_tosses_judge() -> None:
 def _fit(folder: Path) -> None:
     done = call(
         "gsb-fit", "--sim", "mujoco", "--parameters", "friction", "--option", "friction=0.3", "--budget", "9",
-        "--out", folder / "fit", "--json", folder / "fit.json",
-        env={name: value for name, value in os.environ.items() if name != VARIABLE},
+        "--out", folder / "fit", "--json", folder / "fit.json", code=ExitCode.OK,
     )  # fmt: skip
-    assert done.returncode == ExitCode.OK, done.stderr
     (folder / "said.txt").write_text(done.stdout, encoding="utf-8")
 
 
@@ -190,8 +181,7 @@ def test_what_is_kept(fitted: Path, tmp_path: Path) -> None:
     assert after.configuration.fitted == {"friction": EVEN}
     assert after.configuration.options == {"friction": record["fitted"]["friction"]}
     name, *arguments = shlex.split(record["command"])
-    done = call(name, *arguments, "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    call(name, *arguments, "--out", tmp_path, code=0)
     (again,) = tmp_path.glob("*.mcap")
     assert Recording(again).configuration.fitted == after.configuration.fitted
     one, other = (np.asarray(r.state("cubes", "position")) for r in (Recording(again), after))
@@ -254,16 +244,14 @@ def test_no_toss_is_left() -> None:
 )
 def test_refused(arguments: tuple[str, ...], code: int, said: str, tmp_path: Path) -> None:
     """Say what is wrong, before anything is searched."""
-    done = call("gsb-fit", *arguments, "--out", tmp_path / "fit")
-    assert done.returncode == code, done.stdout + done.stderr
+    done = call("gsb-fit", *arguments, "--out", tmp_path / "fit", code=code)
     assert said in " ".join(done.stderr.split())
 
 
 def test_a_folder_of_its_own(tmp_path: Path) -> None:
     """Take no folder that has something: another fit's recordings would be compared with these."""
     (tmp_path / "x.mcap").touch()
-    done = call("gsb-fit", "--sim", "mujoco", "--parameters", "solref", "--out", tmp_path)
-    assert done.returncode == ExitCode.USAGE
+    done = call("gsb-fit", "--sim", "mujoco", "--parameters", "solref", "--out", tmp_path, code=ExitCode.USAGE)
     assert "is not empty" in done.stderr
 
 
@@ -273,7 +261,6 @@ def test_known_friction_among_known_contacts(tmp_path: Path) -> None:
     done = call(
         "gsb-fit", "--sim", "mujoco", "--parameters", "friction", "--option", "friction=0.25",
         "--option", "impratio=10", "--option", "solref=0.004 1", "--dt", str(1 / 148 / 8), "--budget", "7",
-        "--out", tmp_path / "fit", "--json", "-",
+        "--out", tmp_path / "fit", "--json", "-", code=ExitCode.OK,
     )  # fmt: skip
-    assert done.returncode == ExitCode.OK, done.stderr
     assert float(json.loads(done.stdout)["fitted"]["friction"]) == pytest.approx(0.18, rel=0.03)

@@ -31,6 +31,7 @@ from gpusimbench.schemas.messages import message_class
 from tests.conftest import Command, call
 from tests.encoded import encode_action
 from tests.evaluator.damaged import Messages, rewritten
+from tests.reading import verified
 
 _NAME, _TOPIC = "joint_target", "/action/joint_target/000000"
 _ACTIONS = franka().actions
@@ -109,8 +110,7 @@ def test_streams_are_in_the_file(gsb_record: Command, tmp_path: Path) -> None:
     )  # fmt: skip
     (path,) = map(Path, done.stdout.split())
     streams = Streams(np.array([1, 2, 3, 0], dtype=np.uint32), np.array([5, 0, 5, 0], dtype=np.uint32))
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     assert np.array_equal(recording.actions(_NAME), _drawn(12, streams))
     assert {tuple(block.stream_env) for block in _blocks(path)} == {(1, 2, 3, 0)}
     assert {tuple(block.stream_begun) for block in _blocks(path)} == {(5, 0, 5, 0)}

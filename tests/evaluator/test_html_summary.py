@@ -6,7 +6,6 @@ import io
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,8 +22,10 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import DEMANDED
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
-from gpusimbench.schemas.provenance import PROVENANCE, OverflowBit
-from tests.synthetic import Shown, grid, write_recording, write_sweep
+from gpusimbench.schemas.provenance import OverflowBit
+from tests.synthetic import Shown, configured, grid, write_recording, write_sweep
+
+VARIED = configured(vary="mass:0.1")
 
 
 def evaluate(folder: Path) -> Evaluation:
@@ -78,12 +79,11 @@ def test_the_page_begins_with_them(tmp_path: Path) -> None:
     assert "an instrument with known answers" in plain
     assert "The fastest valid simulator of each scene" in plain
     assert "cm: W1, the mean distance by which bodies must be moved to turn one outcome into another" in plain
-    terminal = io.StringIO()
-    print_document(brief(evaluation), terminal)
-    assert "Fastest valid simulator in inclined-collision on" in terminal.getvalue()
-    assert "no distance to reality: no reference" in terminal.getvalue()
+    printed = _printed(evaluation)
+    assert "Fastest valid simulator in inclined-collision on" in printed
+    assert "no distance to reality: no reference" in printed
     signs = "-: not known or not reported; cm: W1, the mean distance by which bodies must be moved to turn one outcome "
-    assert signs + "into another; x 0: no complete run" in " ".join(terminal.getvalue().split())
+    assert signs + "into another; x 0: no complete run" in " ".join(printed.split())
 
 
 def test_faults_in_any_scene_bar_a_first_place(tmp_path: Path) -> None:
@@ -160,13 +160,9 @@ def test_other_timed_steps_are_not_ranked(tmp_path: Path) -> None:
 def test_a_slower_simulator_timed_over_other_steps_is_not_told(tmp_path: Path) -> None:
     """Name beside the fastest only what was faster; other conditions than timed steps are no reason to name a group."""
 
-    def varied(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["configuration"]["vary"] = "mass:0.1"
-
     for simulator, warmup, seconds in (("a", 100, 2.0), ("b", 100, 3.0), ("slow", 20, 40.0)):
         write_recording(tmp_path, grid(2), simulator=simulator, warmup=warmup, elapsed_s=seconds, proven=True)
-    write_recording(tmp_path, grid(2), simulator="quick", elapsed_s=0.1, proven=True, change=varied)
+    write_recording(tmp_path, grid(2), simulator="quick", elapsed_s=0.1, proven=True, change=VARIED)
     (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
     assert found.other_steps == ()
 
@@ -181,14 +177,10 @@ def _printed(evaluation: Evaluation) -> str:
 def test_varied_environments_are_not_ranked(tmp_path: Path) -> None:
     """Rank environments of the scene alone, whatever the number of others."""
 
-    def varied(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["configuration"]["vary"] = "mass:0.1"
-
     for simulator, seconds in (("a", 2.0), ("b", 3.0)):
         write_recording(tmp_path, grid(2), simulator=simulator, elapsed_s=seconds, proven=True)
     for simulator in ("quick", "b", "c"):
-        write_recording(tmp_path, grid(2), simulator=simulator, elapsed_s=0.1, proven=True, change=varied)
+        write_recording(tmp_path, grid(2), simulator=simulator, elapsed_s=0.1, proven=True, change=VARIED)
     (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
     assert found.first is not None and found.second is not None  # noqa: PT018
     assert (found.first.result.label, found.second.result.label) == ("a", "b")
@@ -228,9 +220,7 @@ def test_who_is_as_fast(quick: tuple[float, ...], other: tuple[float, ...], riva
     for name, times in (("quick", quick), ("other", other)):
         for run, elapsed_s in enumerate(times):
             write_recording(tmp_path, grid(2), simulator=name, run=run, elapsed_s=elapsed_s, proven=True)
-    terminal = io.StringIO()
-    print_document(brief(evaluate_files(sorted(tmp_path.glob("*.mcap")))), terminal)
-    said = " ".join(terminal.getvalue().split())
+    said = " ".join(_printed(evaluate_files(sorted(tmp_path.glob("*.mcap")))).split())
     assert "Fastest valid simulator in inclined-collision on" in said and ": quick, " in said
     assert ("; not shown to be slower: other, " in said) == rival
 
@@ -244,9 +234,8 @@ def test_a_first_place_without_states_says_so(tmp_path: Path) -> None:
     (swept,) = [one for one in fastest(evaluation.results) if one.scene == "free-fall"]
     assert swept.first is not None and swept.second is not None  # noqa: PT018
     assert (swept.first.unchecked, swept.second.unchecked) == (True, False)
-    terminal = io.StringIO()
-    print_document(brief(evaluation), terminal)
-    assert re.search(r"free-fall on [^:]*: fast [^;]*env-steps/s \(mechanics not checked\)", terminal.getvalue())
+    printed = _printed(evaluation)
+    assert re.search(r"free-fall on [^:]*: fast [^;]*env-steps/s \(mechanics not checked\)", printed)
     document = report(Source(evaluation, False, ""))
     (section,) = [block for block in document.blocks if isinstance(block, Section) and block.key == "throughput"]
     assert "free-fall: fast" in section.summary
@@ -266,9 +255,7 @@ def test_each_faster_group_has_its_own_reason(tmp_path: Path) -> None:
     evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
     (found,) = fastest(evaluation.results)
     assert {speed.result.label for speed, _ in found.faster} == {"quick [solver=a]", "quick [solver=b]"}
-    terminal = io.StringIO()
-    print_document(brief(evaluation), terminal)
-    said = " ".join(terminal.getvalue().split())
+    said = " ".join(_printed(evaluation).split())
     assert re.search(
         r"Fastest valid simulator in inclined-collision on [^;]*: honest, 500 env-steps/s; faster, but not ranked: "
         r"quick \[solver=b\] \(protocol-2 not met: [^)]*\); quick \[solver=a\] \(INVALID, or mechanics broken\)",
@@ -290,11 +277,10 @@ def test_a_yes_says_what_it_leaves_out(tmp_path: Path) -> None:
     assert (shown["envs alike"].text, shown["envs alike"].notes) == ("yes", ("all 2 envs, 1 group not compared",))
     few, more = sorted(result.fidelity.held for result in evaluation.results)
     assert 0 < few <= more < DEMANDED
-    terminal = io.StringIO()
-    print_document(brief(evaluation), terminal)
+    printed = _printed(evaluation)
     stands = few if few == more else f"{few} to {more}"
-    assert f"physics-2: a yes stands for {stands} of 22 checks; the others could not be made" in terminal.getvalue()
-    assert "\n-: not known or not reported\n" in terminal.getvalue()
+    assert f"physics-2: a yes stands for {stands} of 22 checks; the others could not be made" in printed
+    assert "\n-: not known or not reported\n" in printed
 
 
 def fastest_of(evaluation: Evaluation) -> tuple[str, tuple[str, ...]]:

@@ -38,13 +38,11 @@ def gsb_info() -> Command:
 
 def test_what_is_said_of_a_run(gsb_info: Command, small: Path) -> None:
     """Say who, what, where, how long and what is in it: the most important in 15 lines, and all with --all."""
-    brief = gsb_info(small)
-    assert brief.returncode == 0, brief.stderr
+    brief = gsb_info(small, code=0)
     assert len(brief.stdout.splitlines()) <= 16
     for text in ("status       complete", "whole and unchanged", "4 environments, dt 0.01 s, seed 0", "at 101 steps"):
         assert text in brief.stdout, text
-    done = gsb_info(small, "--all")
-    assert done.returncode == 0, done.stderr
+    done = gsb_info(small, "--all", code=0)
     assert not done.stderr
     for text in (
         "status       complete", "whole and unchanged", "gsb-record --sim mujoco", "number 0 of its set", "mujoco ",
@@ -101,8 +99,7 @@ def test_json(gsb_info: Command, small_set: list[Path], tmp_path: Path) -> None:
     """Write an object for each file, those that are no recordings included."""
     text = tmp_path / "text.mcap"
     text.write_text("no recording at all, and long enough")
-    done = gsb_info(*small_set, text, "--json", "-")
-    assert done.returncode == ExitCode.DATA_LOST
+    done = gsb_info(*small_set, text, "--json", "-", code=ExitCode.DATA_LOST)
     document = json.loads(done.stdout)
     assert document["schema_version"] == SCHEMA_VERSION
     assert [file["status"] for file in document["files"]] == ["complete"] * 3 + ["unreadable"]
@@ -156,8 +153,7 @@ def test_no_recording(damage: str, gsb_info: Command, tmp_path: Path) -> None:
     """Say in one line why nothing can be said of a file, or what is left of it; end with 3."""
     path = whole(tmp_path)
     path.write_bytes(BYTES[damage][1](path.read_bytes()))
-    done = gsb_info(path)
-    assert done.returncode == ExitCode.DATA_LOST
+    done = gsb_info(path, code=ExitCode.DATA_LOST)
     assert "Traceback" not in done.stderr
     assert done.stdout or len(done.stderr.splitlines()) == 1
 

@@ -313,10 +313,7 @@ def test_packages_that_other_simulators_execute_part_no_groups(
 ) -> None:
     """Count the version of a package where the simulator may execute it; one that is not built in may execute all."""
 
-    def other(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["software"]["packages"] = {package: "2"}
-
+    other = changing(PROVENANCE, "software", packages={package: "2"})
     files = [write_recording(tmp_path, grid(1), simulator=simulator, run=run) for run in (0, 1)]
     files.append(write_recording(tmp_path, grid(1), simulator=simulator, run=2, change=other))
     assert len(group([open_recording(file) for file in files])) == groups

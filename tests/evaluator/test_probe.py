@@ -44,7 +44,7 @@ from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from gpusimbench.schemas.treatment import Intervention
 from tests.conftest import Command, call, made_once
-from tests.synthetic import Shown, grid, write_recording
+from tests.synthetic import Shown, changing, grid, write_recording
 
 Planted = Callable[[NDArray[Any], int], None]
 """Changes the positions [env, 27, 3] after a step."""
@@ -238,10 +238,7 @@ def test_mirror_images_that_are_not_asked(tmp_path: Path) -> None:
         assert found.answer is Answer.NOT_ASKED
         return found.reason
 
-    def tilted(name: str, record: dict[str, Any]) -> None:
-        if name == SCENE:
-            record["gravity"] = [0.0, 1.0, -9.81]
-
+    tilted = changing(SCENE, gravity=[0.0, 1.0, -9.81])
     assert reason(_write(tmp_path, usual)) == "needs a run with --initial random:SPREAD,mirror:AXES"
     both = [_write(tmp_path / "tilted", arm, also=tilted) for arm in (usual, mirrored)]
     why = "the scene is not its own mirror image: gravity is not along z"
@@ -672,12 +669,8 @@ def test_another_device(tmp_path: Path) -> None:
     """Compare the same arms of two devices, and blame no device where its runs differ anyway."""
 
     def of(folder: str, device: str, planted: dict[int, Planted] | None = None) -> list[Recording]:
-        def named(name: str, record: dict[str, Any]) -> None:
-            if name == SIMULATION:
-                record["device"] = device
-
         return [
-            _write(tmp_path / folder, arm, (planted or {}).get(at), also=named)
+            _write(tmp_path / folder, arm, (planted or {}).get(at), also=changing(SIMULATION, device=device))
             for at, arm in enumerate(ARMS)
             if at != PLAIN_AGAIN
         ]

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gpusimbench.evaluator.inputs.reader import Reader
+from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.reference import Reference, References, references
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.provenance import REAL
@@ -19,9 +20,7 @@ RECORDINGS = Path(__file__).resolve().parents[2] / "recordings"
 @pytest.fixture(scope="module")
 def run() -> Run:
     """A shipped run."""
-    found = Reader(5.0, verify=False)(RECORDINGS / "mujoco-amd-r0.mcap")
-    assert isinstance(found, Run)
-    return found
+    return read_run(Recording(RECORDINGS / "mujoco-amd-r0.mcap"), 5.0)
 
 
 def trials(run: Run, scene: str) -> Run:

@@ -44,6 +44,7 @@ from gpusimbench.schemas.remote.file import Patience, RemoteFile, TooSlow
 from tests.conftest import run_python
 from tests.forging import copied
 from tests.hostile.reading import in_time
+from tests.reading import verified
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT, commands, shell
 from tests.web import Web, serving
@@ -163,8 +164,7 @@ def test_verified_in_bounded_memory(
 ) -> None:
     """Verify a remote file with a cache that is smaller than the file, and find a bit that was changed."""
     monkeypatch.setattr(remote, "_CACHED_BYTES", 2 << 20)
-    recording = open_recording(_put(memory, large[0]))
-    verify(recording)
+    recording = verified(_put(memory, large[0]))
     assert len(_source(recording)._blocks) * remote._BLOCK <= 2 << 20
     data = bytearray(large[0].read_bytes())
     data[len(data) // 2] ^= 1
@@ -193,8 +193,7 @@ def test_files_of_other_writers(memory: Any, tmp_path: Path, compression: str) -
     for number, options in enumerate(ways):
         copy = tmp_path / f"{number}.mcap"
         copied(original, copy, compression=CompressionType[compression.upper()], **options)
-        recording = open_recording(_put(memory, copy))
-        verify(recording)
+        recording = verified(_put(memory, copy))
         assert np.array_equal(np.asarray(recording.state("cubes", "position")), whole), options
         assert recording.events == open_recording(copy).events
 
@@ -447,8 +446,7 @@ def test_a_summary_that_lies(memory: Any, tmp_path: Path) -> None:
                 changed[at : at + 16] = rng.randbytes(16)
         memory.pipe("/lie", _resealed(changed[: len(data)]))
         try:
-            recording = open_recording("memory://lie")
-            verify(recording)
+            recording = verified("memory://lie")
             assert np.array_equal(np.asarray(recording.state("cubes", "position")), whole)
         except (RecordingError, KeyError):
             refused += 1
@@ -491,8 +489,7 @@ def test_no_flipped_bit_passes(memory: Any, tmp_path: Path) -> None:
         changed[position] ^= 1 << rng.randrange(8)
         memory.pipe("/flipped", bytes(changed))
         try:
-            recording = open_recording("memory://flipped")
-            verify(recording)
+            recording = verified("memory://flipped")
         except RecordingError:
             continue
         if recording.status != "incomplete":
@@ -571,8 +568,7 @@ def test_nothing_that_a_walk_would_trip_over(memory: Any, tmp_path: Path, more: 
     """Refuse what a file holds beside its records, though its summary and all CRCs are right."""
     data = write_recording(tmp_path, grid(4)).read_bytes()
     memory.pipe("/good", _with(data))
-    recording = open_recording("memory://good")
-    verify(recording)
+    recording = verified("memory://good")
     assert recording._container.indexed
     memory.pipe("/bad", _with(data, **more))
     with pytest.raises(DamagedRecording):

@@ -22,7 +22,7 @@ from gpusimbench.evaluator.share.dataset.contents import identity, why_not
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import call, finished, run_python
 from tests.evaluator.sets import WHEN, WORDS, described
-from tests.synthetic import grid, write_recording
+from tests.synthetic import changing, grid, write_recording
 
 OURS = {"README.md", "CITATION.cff", "metrics.parquet", "runs.parquet", "manifest.json", "SHA256SUMS"}
 
@@ -319,11 +319,9 @@ def test_damaged_recordings_are_named(
 def test_what_may_be_personal_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Warn of home folders and addresses of mail that recordings hold, with how many of them."""
 
-    def change(name: str, record: dict[str, Any]) -> None:
-        if name == "provenance.json":
-            record["argv"] = ["gsb-record", "--out", "/home/jane/runs"]
-            record["environment"] = {"XLA_FLAGS": "--x=/Users/joe/y", "JAX_NOTE": "jane@example.org"}
-
+    environment = {"XLA_FLAGS": "--x=/Users/joe/y", "JAX_NOTE": "jane@example.org"}
+    argv = ["gsb-record", "--out", "/home/jane/runs"]
+    change = changing("provenance.json", argv=argv, environment=environment)
     for run in range(2):
         write_recording(tmp_path, grid(1), run=run, change=change)
     main(["card", str(tmp_path), *WORDS])
@@ -369,10 +367,7 @@ HOSTILE = "<script>alert(1)</script> [x](http://evil) `a` | b\n# c @all www.evil
 def test_text_of_strangers_is_no_markup(tmp_path: Path) -> None:
     """Show simulators, reasons and commands of a stranger as text: no link, no tag, no cell of its own."""
 
-    def change(name: str, record: dict[str, Any]) -> None:
-        if name == "provenance.json":
-            record["argv"] = ["gsb-record", "```\n# out", HOSTILE]
-
+    change = changing("provenance.json", argv=["gsb-record", "```\n# out", HOSTILE])
     write_recording(tmp_path, grid(1), simulator=HOSTILE, name="a.mcap", change=change)
     write_recording(tmp_path, None, simulator="b", status="FAILED", reason=HOSTILE, name="=1+1.mcap", run=1)
     main(["card", str(tmp_path), *WORDS])

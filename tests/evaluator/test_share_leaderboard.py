@@ -23,10 +23,10 @@ from gpusimbench.evaluator.render.templating import script
 from gpusimbench.evaluator.share.dataset import contents
 from gpusimbench.evaluator.share.leaderboard.make import gather
 from gpusimbench.schemas.errors import ExitCode
-from gpusimbench.schemas.provenance import PROVENANCE, ReplayOf
+from gpusimbench.schemas.provenance import ReplayOf
 from tests.conftest import call
 from tests.evaluator.test_share_card import HOSTILE
-from tests.synthetic import grid, write_recording, write_sweep
+from tests.synthetic import configured, grid, write_recording, write_sweep
 from tests.test_docs import ROOT, commands, shell
 
 
@@ -74,12 +74,8 @@ def test_places_are_by_throughput_within_scene_and_device(runs: Path, tmp_path: 
 def test_places_of_other_settings(runs: Path, tmp_path: Path) -> None:
     """Rank environments that differ in their parameters among themselves, and say so."""
 
-    def varied(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["configuration"]["vary"] = "mass:0.1"
-
     write(runs, simulator="slow", elapsed_s=2.0)
-    write(runs, simulator="varied", elapsed_s=1.0, change=varied)
+    write(runs, simulator="varied", elapsed_s=1.0, change=configured(vary="mass:0.1"))
     document = made(tmp_path, runs)
     found = [(s["settings"], [row["simulator"] for row in s["rows"]]) for s in document["sections"]]
     assert found == [({}, ["slow"]), ({"vary": "mass:0.1"}, ["varied"])]

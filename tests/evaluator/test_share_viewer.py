@@ -21,7 +21,7 @@ from gpusimbench.schemas.view.shapes import links_of
 from tests.conftest import run_python
 from tests.evaluator.test_share_pack import share
 from tests.evaluator.viewing import placed, read
-from tests.synthetic import grid, write_recording
+from tests.synthetic import changing, grid, write_recording
 from tests.test_docs import ROOT
 
 SHIPPED = ROOT / "recordings" / "mujoco-amd-r0.mcap"
@@ -261,10 +261,6 @@ def test_rotations_add_up(a: float, b: float) -> None:
 def test_a_strangers_robot(robot: dict[str, Any], message: str, tmp_path: Path) -> None:
     """Refuse links that hang on themselves, are there twice, or are too many."""
 
-    def change(name: str, record: dict[str, Any]) -> None:
-        if name == "scene.json":
-            record["robot"] = robot
-
-    source = write_recording(tmp_path, None, change=change)
+    source = write_recording(tmp_path, None, change=changing("scene.json", robot=robot))
     with pytest.raises(DamagedRecording, match=message):
         links_of(open_recording(source).scene)

@@ -23,6 +23,7 @@ from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Buffer, OverflowBit
 from gpusimbench.schemas.text import SIGNS
 from tests.conftest import Command
+from tests.reading import verified
 from tests.synthetic import Shown, cubes_field, grid, metrics_of, write_recording
 
 _CONFIGURATION: list[tuple[str, Any]] = [
@@ -178,8 +179,7 @@ def test_hashes_may_be_split_by_environment(tmp_path: Path, monkeypatch: pytest.
     final[2] += 0.1
     whole = open_recording(write_recording(tmp_path, final)).fingerprints("capture")
     monkeypatch.setattr(state_work, "hash_messages", split)
-    recording = open_recording(write_recording(tmp_path, final))
-    verify(recording)
+    recording = verified(write_recording(tmp_path, final))
     parts = recording.fingerprints("capture")
     assert whole is not None
     assert parts is not None

@@ -27,6 +27,7 @@ from gpusimbench.schemas.provenance import Buffer, OverflowBit
 from tests.conftest import Command, call
 from tests.pages import part as part_of
 from tests.pages import text_of
+from tests.reading import verified
 from tests.synthetic import Shown, grid, write_recording
 
 BITS = (OverflowBit(0, "NEFC", fatal=True), OverflowBit(9, "ITERATIONS", fatal=False))
@@ -297,8 +298,7 @@ def _known_causes() -> list[str]:
 @pytest.mark.parametrize("cause", _known_causes())
 def test_causes(tmp_path: Path, cause: str) -> None:
     """Read back every cause that the recorder writes."""
-    recording = open_recording(write_recording(tmp_path, grid(1), status="FAILED", reason="r", cause=cause))
-    verify(recording)
+    recording = verified(write_recording(tmp_path, grid(1), status="FAILED", reason="r", cause=cause))
     assert recording.cause == cause.replace("_", " ").lower()
 
 

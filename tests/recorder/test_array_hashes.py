@@ -13,13 +13,13 @@ from hypothesis.extra import numpy as drawn
 
 import gpusimbench
 from gpusimbench import open_recording
-from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture import array_hashes
 from gpusimbench.recorder.capture.array_hashes import hashed
 from gpusimbench.schemas import fingerprint as definition
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fingerprint import array_fingerprint, fingerprint
 from gpusimbench.schemas.mixing import GOLDEN, mix
+from tests.reading import verified
 from tests.recorder.test_log import states, writer
 
 _DTYPES = ("float32", "float64", "float16", "int8", "uint16", "int32", "int64", "bool")
@@ -101,8 +101,7 @@ def test_updates_are_recorded_in_the_order_of_the_calls(tmp_path: Path) -> None:
         log.fingerprint("policy", {"w": np.ones(3)})
         log.append(position[6:], velocity[6:])
         log.fingerprint("policy", {"w": np.ones(4)})
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     policy, gradient = recording.program["policy"], recording.program["gradient"]
     assert policy.order.tolist() == [0, 2, 3]
     assert policy.states.tolist() == [0, 6, 11]

@@ -17,8 +17,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gpusimbench import RecordingWriter, open_recording
-from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench import RecordingWriter
 from gpusimbench.recorder.capture.ranges import env_block
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
@@ -35,6 +34,7 @@ from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from gpusimbench.schemas.fingerprint import fingerprint
 from tests.conftest import SMALL, Command, run_python, wait_for
+from tests.reading import verified
 
 FIELDS = [body_field("cubes", name, "float32", ("a", "b")) for name in BODY_FIELDS]
 
@@ -183,8 +183,7 @@ def test_states_whose_hashes_cannot_be_made(
             except DataLost:
                 assert len(calls) >= call
     assert len(calls) >= call and not path.exists()
-    recording = open_recording(tmp_path / "a.mcap.partial")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
 
 
@@ -326,8 +325,7 @@ def test_modes_give_the_same_recording(gsb_record: Command, tmp_path: Path) -> N
             "--sim", "mujoco", "--scene", "franka", "--n-env", 70, "--runs", 1, *SMALL, "--phases", "capture",
             "--capture", mode, "--out", tmp_path, code=0,
         )  # fmt: skip
-        recording = open_recording(done.stdout.strip())
-        verify(recording)
+        recording = verified(done.stdout.strip())
         assert recording.configuration.capture == mode
         hashes = recording.fingerprints("capture")
         assert hashes is not None

@@ -21,7 +21,6 @@ from typing import Any
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.cluster import gathering
 from gpusimbench.recorder.cluster.batch import TRIES, Batch, Ended, Said
 from gpusimbench.recorder.cluster.connection import Node
@@ -33,6 +32,7 @@ from gpusimbench.recorder.process.planned_run import PlannedRun, provenance_now
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from tests.conftest import call, command, run_python, wait_for
+from tests.reading import verified
 from tests.recorder.conftest import folder_of
 from tests.test_docs import commands, shell
 
@@ -390,8 +390,7 @@ def _names(folder: Path) -> list[str]:
 
 
 def _states(path: Path) -> tuple[int, int, bytes]:
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     hashes = recording.fingerprints("capture")
     assert hashes is not None
     c = recording.configuration
@@ -471,8 +470,7 @@ def test_an_interruption(nodes: Nodes, tmp_path: Path) -> None:
     assert "interrupted: 2 of 5 runs were started" in err
     assert len(out.split()) == 2
     for path in tmp_path.iterdir():
-        recording = open_recording(path)
-        verify(recording)
+        recording = verified(path)
         assert recording.status == "failed"
         assert recording.reason.startswith("interrupted in phase ")
 
@@ -490,8 +488,7 @@ def test_two_interruptions(nodes: Nodes, tmp_path: Path) -> None:
     assert ended or process.returncode in (1, 3), err
     assert "Traceback" not in err
     for path in tmp_path.glob("*.mcap"):  # of a run that heeded the first
-        recording = open_recording(path)
-        verify(recording)
+        recording = verified(path)
         assert recording.reason.startswith("interrupted in phase ")
 
 

@@ -266,10 +266,9 @@ def test_another_python_gets_our_code_and_nothing_else(borrowing: Path, tmp_path
 
 def test_records_in_another_python(borrowing: Path, tmp_path: Path, gsb_record: Command, gsb_eval: Command) -> None:
     """Make runs in a Python that does not have this project, whole from command to table."""
-    done = gsb_record(
-        "--sim", "mujoco", "--python", borrowing, "--n-env", 2, "--runs", 1, *SMALL, "--out", tmp_path / "out"
+    gsb_record(
+        "--sim", "mujoco", "--python", borrowing, "--n-env", 2, "--runs", 1, *SMALL, "--out", tmp_path / "out", code=0
     )
-    assert done.returncode == 0, done.stderr
     gsb_eval(*(tmp_path / "out").glob("*.mcap"), "--sample-time", 1, code=0)
 
 

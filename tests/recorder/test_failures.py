@@ -13,10 +13,11 @@ from pathlib import Path
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, RecordingError
 from tests.conftest import Command, command, run_python, wait_for
+from tests.limits import full_disk
+from tests.reading import verified
 
 
 def _run(gsb_record: Command, plugin: dict[str, str], out: Path, mode: str, *more: object):  # type: ignore[no-untyped-def]
@@ -30,8 +31,7 @@ def test_a_third_party_simulator_records(gsb_record: Command, plugin: dict[str, 
     """Find a simulator that another distribution offers, and keep what it prints."""
     done = _run(gsb_record, plugin, tmp_path, "good")
     assert done.returncode == 0, done.stderr
-    recording = open_recording(sorted(tmp_path.glob("*.mcap"))[0])
-    verify(recording)
+    recording = verified(sorted(tmp_path.glob("*.mcap"))[0])
     assert recording.state("cubes", "position")[20, 0, 0, 0] == 20.0
     assert b"printed while building" in (recording.attachment("engine-log.txt") or b"")
     assert "printed" not in done.stdout + done.stderr
@@ -59,8 +59,7 @@ def test_a_run_that_fails_says_why(
     files = sorted(tmp_path.iterdir())
     assert [f.suffix for f in files] == [".mcap", ".mcap"]
     for file in files:
-        recording = open_recording(file)
-        verify(recording)
+        recording = verified(file)
         assert recording.status == status
         assert reason in recording.reason
 
@@ -102,8 +101,7 @@ def test_an_interruption_ends_the_recording(plugin: dict[str, str], tmp_path: Pa
     assert "interrupted: 1 of 3 runs were started" in err
     (file,) = tmp_path.iterdir()
     assert str(file) == out.strip()
-    recording = open_recording(file)
-    verify(recording)
+    recording = verified(file)
     assert (recording.status, recording.reason) == ("failed", "interrupted in phase capture")
 
 
@@ -154,8 +152,7 @@ def test_gates_are_asked_after_every_phase(gsb_record: Command, plugin: dict[str
     done = _run(gsb_record, plugin, tmp_path, "gate", "--phases", "timed")
     assert done.returncode == 1
     for file in tmp_path.iterdir():
-        recording = open_recording(file)
-        verify(recording)
+        recording = verified(file)
         reason = "phase warmup: contacts were dropped; the same in phase timed"
         assert (recording.status, recording.reason) == ("invalid", reason)
         fired = [(e.phase, e.text) for e in recording.events if e.kind == "GATE"]
@@ -178,8 +175,7 @@ def test_a_simulator_is_closed_once(
     """Close each simulator that was made exactly once, also when it or the next one cannot be built."""
     _run(gsb_record, plugin, tmp_path, mode, "--runs", 1)
     (file,) = tmp_path.iterdir()
-    recording = open_recording(file)
-    verify(recording)
+    recording = verified(file)
     assert reason in recording.reason
     said = (recording.attachment("engine-log.txt") or b"").decode().split()
     assert [word for word in said if word.startswith("closed")] == [f"closed{number}" for number in range(made)]
@@ -232,15 +228,11 @@ def test_a_folder_that_is_deleted(tmp_path: Path) -> None:
 
 def test_a_disk_that_takes_nothing(tmp_path: Path) -> None:
     """Send nobody to a file without a byte, which gsb-record removes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
-    try:
+    with full_disk(0):
         sink = Sink(tmp_path / "x.mcap", compression="none")
         with pytest.raises(DataLost, match="^writing stopped: File too large; nothing was written$"):
             sink.channel("/run/event", "gsb.v1.Event")
         sink.abandon()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_a_file_system_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,6 +28,7 @@ from gpusimbench.schemas.provenance import OverflowBit
 from gpusimbench.schemas.treatment import MOST_METRES, Keep
 from tests.conftest import call, run_python
 from tests.forging import forge
+from tests.reading import verified
 
 _RUN = ("--sim", "mujoco", "--runs", "1", "--phases", "capture")
 _POISONED = (*_RUN, "--n-env", "5", "--steps", "200", "--intervene", "poison@150")
@@ -357,8 +358,7 @@ def test_a_robot_that_explodes(tmp_path: Path) -> None:
 def test_states_up_to_the_explosion(tmp_path: Path) -> None:
     """Capture the states of a run whose timed phase already is not finite, up to the first that is not."""
     path, said = _explodes(tmp_path, *_SHORT, "--out", tmp_path)
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     assert (recording.status, recording.cause) == ("invalid", "not finite")
     first, *warned, again = recording.reason.split("; ")
     step = int(first.removeprefix("a state is not finite: step ").partition(",")[0])

@@ -16,7 +16,6 @@ from gpusimbench.evaluator.check.hardware import hardware_of
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.samples import SampleWriter
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.probes.gpu import Gpus
@@ -25,6 +24,7 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, Provenance
 from tests.conftest import SMALL, Command, call
+from tests.reading import verified
 from tests.synthetic import Shown, write_recording
 
 
@@ -195,8 +195,7 @@ def test_readings_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_a_run_is_sampled(gsb_record: Command, tmp_path: Path) -> None:
     """Sample the host in every phase of a run, show it with --all, and keep the digests and rules of integrity."""
     done = gsb_record("--sim", "mujoco", "--n-env", 1, "--runs", 1, *SMALL, "--out", tmp_path)
-    recording = open_recording(done.stdout.strip())
-    verify(recording)
+    recording = verified(done.stdout.strip())
     trace = recording.hardware["host"]
     assert {"baseline", "init", "warmup", "timed", "capture"} <= set(trace.phase)
     assert "other_cpus" in trace.values

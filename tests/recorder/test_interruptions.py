@@ -16,6 +16,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import Command, command, distribution, run_python, wait_for
+from tests.reading import verified
 from tests.recorder.conftest import folder_of
 
 pytestmark = pytest.mark.slow
@@ -54,8 +55,7 @@ def test_digests_and_bytes_go_together(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "x.mcap"
     done = run_python(_INTERRUPTED_BETWEEN, kind, path)
     assert done.stdout.startswith("FAILED interrupted in phase")
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     assert recording.status == "failed"
 
 
@@ -72,8 +72,7 @@ def test_a_strided_capture_that_ends_early(
         "--option", f"mode={mode}", "--option", "at=770", "--out", tmp_path, env=plugin, code=1,
     )  # fmt: skip
     (file,) = tmp_path.iterdir()
-    recording = open_recording(file)
-    verify(recording)
+    recording = verified(file)
     assert (recording.status, recording.reason) == ("failed", reason)
     cubes = recording.state("cubes", "position")
     assert cubes.steps.tolist() == list(range(0, 751, 20))

@@ -15,11 +15,12 @@ pytest.importorskip("gymnasium", reason="environments of Isaac Lab are those of 
 
 import torch
 
-from gpusimbench import open_recording, verify, wrap
+from gpusimbench import open_recording, wrap
 from gpusimbench.evaluator.diff import compare
 from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.simulators.isaaclab.simulator import _without_pinned_memory
+from tests.reading import verified
 
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::UserWarning")
 
@@ -196,8 +197,7 @@ def column(recording: Recording, name: str) -> Any:
 def test_a_task_of_isaac_lab_is_recorded(workflow: str, tmp_path: Path) -> None:
     """Record what step returned, in every bit, and the ends of episodes; the same again in another recording."""
     told = pushed(tmp_path / "a.mcap", workflow)
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert (recording.status, recording.configuration.simulator, recording.configuration.dt) == (
         "complete", "isaaclab", 0.02,
     )  # fmt: skip
@@ -216,8 +216,7 @@ def test_a_task_of_isaac_lab_is_recorded(workflow: str, tmp_path: Path) -> None:
 def test_last_observations_where_the_task_tells_them(workflow: str, tmp_path: Path) -> None:
     """Record them where the configuration has compute_final_obs."""
     told = pushed(tmp_path / "a.mcap", workflow, final=True)
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     seen, final = (column(recording, name) for name in ("observation_policy", "final_observation_policy"))
     ends = 0
     for row, (_, _, terminated, truncated, _, last) in enumerate(told[1:], start=1):

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies
 
-from gpusimbench import open_recording, wrap
-from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench import wrap
 from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 from gpusimbench.schemas.errors import DataLost
 from tests.conftest import finished
+from tests.reading import verified
 from tests.recorder.engines import needed
 
 jax = needed("jax")
@@ -250,8 +250,7 @@ def test_a_recording_whose_rows_were_lost(steps: int | None, hashed: bool, tmp_p
             states.append(envs.step(states[-1], jax.numpy.zeros((len(states[0].reward), 1))))
             if hashed:
                 envs.fingerprint("policy", np.arange(number + 1))
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert recording.status == "failed" and "donate_argnums" in recording.reason
     (reward,) = (field for field in recording.fields if field.field == "reward")
     assert len(recording.state(reward.group, reward.field)) == 26

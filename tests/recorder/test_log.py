@@ -24,6 +24,7 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import DataLost, UsageError
 from gpusimbench.schemas.fields import array_field, body_field
 from tests.conftest import Command, run_python
+from tests.reading import verified
 from tests.synthetic import metrics_of
 
 NAMES = ("red", "blue")
@@ -69,8 +70,7 @@ def test_a_program_that_forks(tmp_path: Path) -> None:
     """Leave the file to the process that began it: a copy of the process that ends writes no end into it."""
     told = run_python(_FORKS, tmp_path / "a.mcap")
     assert told.stdout.count(f"is a copy (os.fork) of the one that records {tmp_path / 'a.mcap'}: it writes") == 1
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert recording.status == "complete"
     assert np.array_equal(recording.state("cubes", "position")[:], states()[0])
 
@@ -83,8 +83,7 @@ def test_a_program_logs_its_states(tmp_path: Path) -> None:
         for step in range(11):
             reused[:] = position[step]
             log.append(reused, velocity[step])
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert (recording.status, recording.reason) == ("complete", "")
     assert np.array_equal(recording.state("cubes", "position")[:], position)
     assert np.array_equal(recording.state("cubes", "linear_velocity")[:], velocity)
@@ -105,8 +104,7 @@ def test_an_argument_that_is_no_unicode(tmp_path: Path, monkeypatch: pytest.Monk
     path = tmp_path / "a.mcap"
     with writer(path) as log:
         log.append(*states())
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     assert recording.provenance.argv == ("train.py", "caf\\udce9.npz")
 
 
@@ -415,8 +413,7 @@ def test_an_interruption_leaves_a_good_file(tmp_path: Path, seconds: float) -> N
     done = run_python(_INTERRUPTED, path, seconds, code=None)
     assert done.stdout == "interrupted\n", done.stderr
     if path.exists():  # it may have come before the file was begun
-        recording = open_recording(path)
-        verify(recording)
+        recording = verified(path)
         assert recording.status == "failed"
 
 

@@ -14,7 +14,6 @@ import madrona_stand_in as stand_in
 import numpy as np
 import pytest
 
-from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.conformance import CHECKS, NotApplicable, Subject
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.registry import make_scene
@@ -23,6 +22,7 @@ from gpusimbench.recorder.simulators.madrona.module import METHODS, REQUIRED_SET
 from gpusimbench.recorder.simulators.madrona.simulator import Madrona
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import finished
+from tests.reading import verified
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
@@ -462,7 +462,6 @@ def test_conforms(subject: Subject, check: Any) -> None:
 
 def test_a_recording_from_end_to_end(tmp_path: Path) -> None:
     """Record by the command, evaluate, and find in the file that this was no Madrona."""
-    from gpusimbench import open_recording
 
     command = [
         sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", "madrona", "--option", "module=madrona_stand_in",
@@ -472,8 +471,7 @@ def test_a_recording_from_end_to_end(tmp_path: Path) -> None:
     finished(command, env={**os.environ, "PYTHONPATH": PATHS})
     files = sorted((tmp_path / "out").glob("madrona-free-fall-n4-*.mcap"))
     assert len(files) == 2
-    recording = open_recording(files[0])
-    verify(recording)
+    recording = verified(files[0])
     assert recording.status == "complete"
     assert recording.simulation is not None
     assert "not Madrona" in recording.simulation.version

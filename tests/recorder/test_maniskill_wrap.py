@@ -14,9 +14,10 @@ pytest.importorskip("mani_skill")
 import gymnasium
 import torch
 
-from gpusimbench import UsageError, open_recording, verify, wrap
+from gpusimbench import UsageError, open_recording, wrap
 from gpusimbench.evaluator.read.episodes import Episode, episodes
 from gpusimbench.evaluator.read.recording import Recording
+from tests.reading import verified
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of what ManiSkill imports for rendering and training
@@ -59,13 +60,6 @@ def drawn(steps: int) -> list[Any]:
     return [torch.rand((1, 8), generator=generator) * 2 - 0.7 for _ in range(steps)]
 
 
-def read(path: Path) -> Recording:
-    """A recording that is whole."""
-    recording = open_recording(path)
-    verify(recording)
-    return recording
-
-
 def column(recording: Recording, name: str) -> Any:
     """An array of environments, [row, env, width]."""
     return recording.state("env", name)[:, :, 0]
@@ -100,7 +94,7 @@ def test_a_recording_has_what_the_bare_environment_returns(steps: int, tmp_path:
             found[name].append(np.array(value))
     recorded.close()
     bare.close()
-    recording = read(tmp_path / "a.mcap")
+    recording = verified(tmp_path / "a.mcap")
     assert recording.status == "complete"
     for name, field in (
         ("reward", "reward"), ("turned", "info_turned"), ("seen", "observation_agent_qpos"),
@@ -131,7 +125,7 @@ def test_resets_of_the_user(tmp_path: Path) -> None:
                 lasts.append(np.array(observation["agent"]["qpos"][0]))
                 observation, _ = recorded.reset(options={"env_idx": torch.tensor([0])})
                 begins.append(np.array(observation["agent"]["qpos"][0]))
-    recording = read(tmp_path / "a.mcap")
+    recording = verified(tmp_path / "a.mcap")
     assert (recording.configuration.options["autoreset_mode"], recording.configuration.dt) == ("Disabled", 0.1)
     every = list(episodes(recording))
     assert len(lasts) > 3
@@ -147,7 +141,7 @@ def test_how_a_recording_ends(tmp_path: Path) -> None:
         short.reset()
         short.fingerprint("policy", torch.arange(3))
         short.step(drawn(1)[0])
-    assert (read(tmp_path / "short.mcap").status, open_recording(tmp_path / "short.mcap").reason) == (
+    assert (verified(tmp_path / "short.mcap").status, open_recording(tmp_path / "short.mcap").reason) == (
         "failed", "states end at step 1 of 9",
     )  # fmt: skip
     with pytest.raises(UsageError, match="physics is recorded of MuJoCo's environments"):

@@ -578,8 +578,7 @@ def test_urdf(tmp_path: Path) -> None:
 )
 def test_options_that_cannot_be(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
     """Refuse solvers that take no models, and a constraint solver that Newton has not."""
-    done = call("gsb-record", "--sim", "newton", "--model", WALKER, *arguments, "--out", tmp_path)
-    assert done.returncode == ExitCode.USAGE
+    done = call("gsb-record", "--sim", "newton", "--model", WALKER, *arguments, "--out", tmp_path, code=ExitCode.USAGE)
     assert said in done.stderr
 
 

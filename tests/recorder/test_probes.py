@@ -16,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.probes.gpu import Gpus, Processes
@@ -28,6 +27,7 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import PROVENANCE, Provenance
 from tests.conftest import SMALL, Command
+from tests.reading import verified
 
 _NVML = '''
 """NVML of a machine with two GPUs that fail as they are told."""
@@ -87,8 +87,7 @@ def test_a_driver_that_fails(gsb_record: Command, tmp_path: Path, how: str, gpus
         "--sim", "mujoco", "--n-env", 1, "--runs", 1, *SMALL, "--out", tmp_path / "out",
         env={**os.environ, "PYTHONPATH": str(tmp_path), "NVML_FAILS": how}, code=0,
     )  # fmt: skip
-    recording = open_recording(done.stdout.strip())
-    verify(recording)
+    recording = verified(done.stdout.strip())
     assert len(recording.provenance.gpus) == gpus
     notes = [e.text for e in recording.events if e.kind == "NOTE"]
     assert len(notes) == (note is not None)

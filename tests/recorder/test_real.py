@@ -10,16 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench import open_recording
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.positions import sample_positions
-from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.cli import main
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.trials.real import parse_trials
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trial_units import extent_of, unit_doubt
 from tests.conftest import Command
+from tests.reading import verified
 from tests.synthetic import grid, metrics_of, write_recording
 
 
@@ -40,8 +39,7 @@ def test_trials_are_a_recording(gsb_record: Command, gsb_eval: Command, tmp_path
     assert done.returncode == 0, done.stderr
     path = Path(done.stdout.strip())
     assert path.name.startswith("real-inclined-collision-n4-r0-")
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     array = recording.state("cubes", "position")
     assert array.shape == (1, 4, 27, 3 if z else 2)
     assert array.steps.tolist() == [1]

@@ -27,6 +27,7 @@ from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from tests.conftest import SMALL, Command, distribution
+from tests.reading import verified
 
 _NAME = re.compile(r"mujoco-inclined-collision-n4-r(\d)-\d{8}T\d{6}Z\.mcap")
 
@@ -216,8 +217,7 @@ def test_strided_rows_are_the_right_ones(tmp_path: Path, stride: int) -> None:
     assert writer.last_step == 840
     assert writer.last_recorded_step == 840 // stride * stride
     path = _finish(sink, fields, stride, writer.last_recorded_step)
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     for field, expected in zip(fields, states, strict=True):
         assert np.array_equal(np.asarray(recording.state(field.group, field.field)), expected[::stride])
 

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.sets.replay import read_source, replayed
@@ -25,6 +24,7 @@ from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from tests.conftest import Command, call
 from tests.forging import forge
+from tests.reading import verified
 from tests.synthetic import Shown, write_recording
 
 _SHORT = ("--n-env", "2", "--runs", "1", "--steps", "6", "--warmup", "3", "--timed-steps", "4")
@@ -52,8 +52,7 @@ def test_a_replay_runs_what_was_recorded(original: Path, gsb_record: Command, tm
     assert f"replay of run {there.provenance.run_id[:8]}, content {there.content_hash[:12]}: mujoco, cone=" in first
     assert "2 envs, dt 0.01 s, seed 7, 3 + 4 timed steps and 6 captured steps; a run took" in first
     for index, path in enumerate(map(Path, done.stdout.split())):
-        here = open_recording(path)
-        verify(here)
+        here = verified(path)
         assert here.configuration.to_json() == {**there.configuration.to_json(), "run_index": index}
         assert here.provenance.run_id != there.provenance.run_id
         of = here.provenance.replay_of

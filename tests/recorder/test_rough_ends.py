@@ -28,6 +28,7 @@ from gpusimbench.schemas.errors import RecordingError
 from gpusimbench.schemas.mcap.reader import Container
 from tests.conftest import SMALL, Command, call, command, distribution
 from tests.moments import descendants, has_worked, has_written, wait_until, whole
+from tests.reading import verified
 
 _KILLS = 50
 _AT_ONCE = 4
@@ -109,8 +110,7 @@ def _cut(process: subprocess.Popen[str], out: Path, how: signal.Signals, *, run_
     for file in sorted(out.iterdir()) if out.exists() else ():
         assert file.suffix in (".mcap", ".partial"), file
         if file.suffix == ".mcap":
-            recording = open_recording(file)
-            verify(recording)
+            recording = verified(file)
             assert recording.status == "complete" or (how == signal.SIGTERM and recording.status == "failed")
             seen[recording.status] += 1
         else:
@@ -268,9 +268,7 @@ def jumping(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def _record_jumps(gsb_record: Command, environment: dict[str, str], out: Path, jumps: bool) -> Recording:
     done = gsb_record("--sim", "jumping", "--n-env", 2, "--runs", 1, "--steps", 100, "--warmup", 10, "--timed-steps",
                       40, "--option", f"jumps={jumps}", "--out", out, env=environment, code=0)  # fmt: skip
-    recording = open_recording(done.stdout.strip())
-    verify(recording)
-    return recording
+    return verified(done.stdout.strip())
 
 
 @pytest.mark.slow
@@ -332,8 +330,7 @@ def test_a_wall_clock_that_no_field_can_hold(
                       "--timed-steps", 2, "--out", tmp_path / "out",
                       env={**os.environ, "PYTHONPATH": str(tmp_path / "path")}, timeout=300, code=0)  # fmt: skip
     assert f"clock stands {said}" in done.stderr
-    recording = open_recording(done.stdout.strip())
-    verify(recording)
+    recording = verified(done.stdout.strip())
     assert recording.status == "complete"
     assert {event.unix_ns for event in recording.events} == {held}
     assert any(event.kind == "NOTE" and said in event.text for event in recording.events)

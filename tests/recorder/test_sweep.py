@@ -28,6 +28,7 @@ from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.configuration import MAX_ENVS, RunConfiguration
 from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import Command, command, distribution, wait_for
+from tests.reading import verified
 
 _TINY = ("--steps", "5", "--warmup", "1", "--timed-steps", "2", "--phases", "timed")
 
@@ -396,8 +397,7 @@ def test_more_environments_than_memory_holds(gsb_record: Command, tmp_path: Path
     done = gsb_record(*arguments, preexec_fn=little_memory, code=0)
     assert "N_env^max 4: failed at 4194304: " in done.stderr
     (file,) = tmp_path.glob("*-n4194304-*.mcap")
-    recording = open_recording(file)
-    verify(recording)
+    recording = verified(file)
     assert recording.status == "failed"
     again = gsb_record(*arguments, "--json", preexec_fn=little_memory, code=0)
     record = json.loads(again.stdout)

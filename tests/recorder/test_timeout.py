@@ -13,6 +13,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.sets.finished import read_end
 from tests.conftest import Command, distribution, run_python
+from tests.reading import verified
 
 pytestmark = pytest.mark.alone
 
@@ -104,8 +105,7 @@ def test_a_run_ends_itself(gsb_record: Command, tmp_path: Path, phases: list[str
     assert done.returncode == 1, done.stderr
     (file,) = tmp_path.iterdir()
     assert str(file) == done.stdout.strip()
-    recording = open_recording(file)
-    verify(recording)
+    recording = verified(file)
     began = [event.phase for event in recording.events if event.kind == "PHASE_BEGIN"]
     assert (recording.status, recording.reason) == ("failed", f"timeout: more than 4 s, in phase {began[-1]}")
     assert read_end(file).outcome.cause == "TIMEOUT"
@@ -242,8 +242,7 @@ def test_a_sweep_ends_at_a_run_that_never_returns(endless: dict[str, str], tmp_p
     (partial,) = tmp_path.glob("*.partial")
     (file,) = tmp_path.glob("*-n2-*.mcap")
     assert str(file) in done.stdout.split()
-    recording = open_recording(file)
-    verify(recording)
+    recording = verified(file)
     assert recording.status == "failed"
     assert partial.name in recording.reason
     assert recording.provenance == open_recording(partial).provenance

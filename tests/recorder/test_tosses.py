@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.scenes.cube_toss import EDGE, RATE
-from gpusimbench.recorder.trials.tosses import PUBLISHED, SYNTHETIC, VARIABLE, read_tosses, rotated
+from gpusimbench.recorder.trials.tosses import PUBLISHED, SYNTHETIC, read_tosses, rotated
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.initial import GIVEN, Given
@@ -24,11 +24,6 @@ from tests.conftest import Command
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "cube_toss"
 """The measured set, on machines that have it beside the project."""
-
-
-@pytest.fixture(autouse=True)
-def _no_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(VARIABLE, raising=False)
 
 
 def _short(text: str) -> bytes:
@@ -234,8 +229,7 @@ def test_another_friction(gsb_record: Command, tmp_path: Path) -> None:
     paths = {}
     for value in ("", "0.18", "0.9"):
         option = ("--option", f"friction={value}") if value else ()
-        done = gsb_record(*run, "capture", *option, "--out", tmp_path / (value or "none"))
-        assert done.returncode == 0, done.stderr
+        gsb_record(*run, "capture", *option, "--out", tmp_path / (value or "none"), code=0)
         (paths[value],) = (tmp_path / (value or "none")).glob("*.mcap")
     scenes = {value: Recording(path).attachment("scene.json") for value, path in paths.items()}
     states = {value: np.asarray(Recording(path).state("cubes", "position")) for value, path in paths.items()}
@@ -262,8 +256,7 @@ def test_another_friction(gsb_record: Command, tmp_path: Path) -> None:
 )
 def test_no_friction(scene: str, value: str, said: str, gsb_record: Command, tmp_path: Path) -> None:
     """Refuse what is no friction, and the option in scenes that do not have it."""
-    done = gsb_record("--sim", "mujoco", "--scene", scene, "--option", f"friction={value}", "--out", tmp_path)
-    assert done.returncode == 2
+    done = gsb_record("--sim", "mujoco", "--scene", scene, "--option", f"friction={value}", "--out", tmp_path, code=2)
     assert said in " ".join(done.stderr.split())
 
 

@@ -32,6 +32,7 @@ from gpusimbench.recorder.vector.device.log import About, DeviceLog, HostLog
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import StateField, body_field
+from tests.reading import verified
 
 BODIES = ("red", "blue", "green")
 FIELDS = (body_field("cubes", "position", "float32", BODIES), body_field("cubes", "linear_velocity", "float32", BODIES))
@@ -163,8 +164,7 @@ def writer(path: Path, **others: Any) -> RecordingWriter:
 
 def whole(path: Path, n_step: int) -> bool:
     """Whether a recording is complete and as it should be."""
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     same = np.array_equal(recording.state("cubes", "position")[:], drawn(n_step, 100)[0])
     return recording.status == "complete" and same
 
@@ -187,8 +187,7 @@ def test_rows_of_a_device(tmp_path: Path, process: pytest.MonkeyPatch) -> None:
             log.append(columns, {})
         assert bool(helpers()) == (cpus == 1)
         log.end(None)
-        recording = open_recording(tmp_path / f"{name}.mcap")
-        verify(recording)
+        recording = verified(tmp_path / f"{name}.mcap")
         assert recording.status == "complete"
         contents.append({field.name: recording.state(field.group, field.field)[:] for field in recording.fields})
     assert contents[0].keys() == contents[1].keys()
@@ -216,8 +215,7 @@ def test_while_a_device_steps(cpus: int, tmp_path: Path, process: pytest.MonkeyP
         assert not [thread for thread in threading.enumerate() if thread.name.startswith("capture")]
         log.make_room()
         log.keep(row)
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert recording.status == "complete"
 
 
@@ -240,8 +238,7 @@ def test_a_process_is_killed(who: str, when: str, tmp_path: Path) -> None:
     assert len(working) > 2
     assert not psutil.wait_procs(working, timeout=300)[1]
     assert not path.exists()
-    recording = open_recording(tmp_path / "a.mcap.partial")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
 
 
@@ -264,8 +261,7 @@ def test_a_process_is_stopped(copy: bool, tmp_path: Path, process: pytest.Monkey
     ):
         record()
     assert not psutil.wait_procs(working, timeout=300)[1]
-    recording = open_recording(tmp_path / "a.mcap.partial")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
 
 
@@ -279,8 +275,7 @@ def test_a_job_that_is_stopped_goes_on(tmp_path: Path, process: pytest.MonkeyPat
         stopped.suspend()
         threading.Timer(0.5, stopped.resume).start()
         log.append(*(array[100:] for array in rows))
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert recording.status == "complete"
 
 
@@ -318,8 +313,7 @@ def test_a_handler_that_raises(call: int, tmp_path: Path, process: pytest.Monkey
             with suppress(Struck, DataLost):
                 log.append(*(array[begin : begin + 50] for array in rows))
     assert not (tmp_path / "a.mcap").exists()
-    recording = open_recording(tmp_path / "a.mcap.partial")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
 
 
@@ -458,8 +452,7 @@ def test_the_program_is_killed(tmp_path: Path) -> None:
         (working,) = helpers(child.pid)
         child.kill()
     working.wait(300)
-    recording = open_recording(tmp_path / "a.mcap.partial")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
 
 

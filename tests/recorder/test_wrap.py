@@ -14,10 +14,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpusimbench import DamagedRecording, RecordingWriter, UsageError, open_recording, verify, wrap
+from gpusimbench import DamagedRecording, RecordingWriter, UsageError, open_recording, wrap
 from gpusimbench.evaluator.read.episodes import NEEDED, Episode, count_episodes, episodes
 from gpusimbench.schemas.fields import array_field
 from tests.conftest import call, run_python
+from tests.reading import verified
 
 gymnasium = pytest.importorskip("gymnasium")
 MODES = ("NextStep", "SameStep", "Disabled")
@@ -90,8 +91,7 @@ def played(path: Path, n_env: int, longest: int, mode: str, steps: int, seed: An
     envs = wrap(walks(n_env, longest, mode), path, steps=steps)
     play(envs, steps, seed)
     envs.close()
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     assert recording.status == "complete"
     found = defaultdict(list)
     for episode in episodes(recording):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from gpusimbench import UsageError, open_recording, record_rollout, verify, wrap
+from gpusimbench import UsageError, record_rollout, wrap
 from gpusimbench.evaluator.cli.compare import main as compare_command
 from gpusimbench.evaluator.cli.info import main as info_command
 from gpusimbench.evaluator.diff import compare
@@ -26,6 +26,7 @@ from gpusimbench.recorder.vector.device.jax_rows import JaxRows
 from gpusimbench.recorder.vector.device.states import RecordedArrays, seeds_of
 from gpusimbench.schemas.images import image_hashes
 from tests.conftest import run_python
+from tests.reading import verified
 from tests.recorder.engines import needed
 
 needed("brax")
@@ -91,13 +92,6 @@ def column(recording: Recording, name: str) -> Any:
     return recording.state("env", name)[:, :, 0].squeeze(-1 if recording.state("env", name).shape[-1] == 1 else ())
 
 
-def read(path: Path) -> Recording:
-    """A recording that is whole."""
-    recording = open_recording(path)
-    verify(recording)
-    return recording
-
-
 @pytest.mark.parametrize("steps", [1, 49, 50, 170])
 def test_a_recording_has_what_bare_environments_return(steps: int, tmp_path: Path) -> None:
     """Return and record, bit for bit, what the bare environment returns; ends and steps follow from its flags."""
@@ -112,7 +106,7 @@ def test_a_recording_has_what_bare_environments_return(steps: int, tmp_path: Pat
             state = recorded.step(state, action)
             assert jax.tree.all(jax.tree.map(np.array_equal, state, states[-1]))
         assert np.array_equal(recorded.step(state, action).obs, step(states[-1], action).obs)
-    recording = read(tmp_path / "a.mcap")
+    recording = verified(tmp_path / "a.mcap")
     assert (recording.status, recording.configuration.steps) == ("complete", steps)
     assert recording.configuration.options["infos"] == "far"
     assert np.array_equal(column(recording, "observation"), np.stack([s.obs for s in states]))
@@ -158,7 +152,7 @@ def test_equal_keys_give_equal_files(tmp_path: Path, capsys: pytest.CaptureFixtu
     _, (states, given) = jax.lax.scan(step, first, actions)
     for name, rng in (("scan", keys()), ("unknown", None), ("other", keys(5))):
         record_rollout(env, tmp_path / f"{name}.mcap", first, states, given, dt=0.1, rng=rng)
-    found = {name: read(tmp_path / f"{name}.mcap") for name in ("a", "b", "c", "scan", "unknown", "other")}
+    found = {name: verified(tmp_path / f"{name}.mcap") for name in ("a", "b", "c", "scan", "unknown", "other")}
     assert compare.compare(found["a"], found["b"]).bit_identical
     assert compare.compare(found["a"], found["scan"]).bit_identical
     assert not compare.compare(found["a"], found["c"]).bit_identical
@@ -207,7 +201,7 @@ def test_steps_transfer_nothing(tmp_path: Path) -> None:
             state.reward + np.float32(1)
     for action in actions[45:]:
         state = recorded.step(state, action)
-    assert read(tmp_path / "a.mcap").status == "complete"
+    assert verified(tmp_path / "a.mcap").status == "complete"
 
 
 def test_steps_start_no_function_for_what_is_not_there() -> None:
@@ -238,7 +232,7 @@ def test_the_file_does_not_depend_on_when_blocks_are_taken(tmp_path: Path, monke
         for action in actions:
             state = recorded.step(state, action)
         assert taken == [1, *([50] * 8 if wait == 0.0 else [400]), 10]
-        assert read(tmp_path / f"{wait}.mcap").status == "complete"
+        assert verified(tmp_path / f"{wait}.mcap").status == "complete"
         with (tmp_path / f"{wait}.mcap").open("rb") as stream:
             messages = make_reader(stream).iter_messages(log_time_order=False)
             of_states = [(c.topic, m.data) for _, c, m in messages if c.topic.startswith(("/state", "/fingerprint"))]
@@ -267,7 +261,7 @@ def test_resets_of_the_user(tmp_path: Path) -> None:
         if done.any() and at != 69:
             ended += int(done.sum())
             state = jax.tree.map(partial(chosen, done), first, state)
-    recording = read(tmp_path / "a.mcap")
+    recording = verified(tmp_path / "a.mcap")
     every = list(episodes(recording))
     assert all(episode.final_known for episode in every)
     assert sum(episode.ended for episode in every) >= ended > 20
@@ -287,7 +281,7 @@ def test_observations_that_the_user_changes_begin_no_episode(tmp_path: Path) -> 
     state = recorded.reset(keys())
     for action in drawn(5) * 0:
         state = recorded.step(state.replace(obs=state.obs / 2), action)
-    recording = read(tmp_path / "a.mcap")
+    recording = verified(tmp_path / "a.mcap")
     assert column(recording, "episode").max() == 0
     seen, final = column(recording, "observation"), column(recording, "final_observation")
     assert np.array_equal(seen[1:-1], final[1:-1] / 2) and np.array_equal(seen[-1], final[-1])
@@ -322,7 +316,7 @@ def test_how_a_recording_ends(tmp_path: Path) -> None:
         state = hashing.step(state, action)
     hashing.fingerprint("policy", jax.numpy.arange(4))
     hashing.close()
-    found = {path.stem: read(path) for path in tmp_path.glob("*.mcap")}
+    found = {path.stem: verified(path) for path in tmp_path.glob("*.mcap")}
     assert {name: (r.status, r.reason) for name, r in found.items() if name != "other"} == {
         "short": ("failed", "states end at step 1 of 9"),
         "hashed": ("complete", ""),
@@ -364,7 +358,7 @@ def test_a_pendulum_of_brax(batch: int | None, tmp_path: Path) -> None:
         for _ in range(20):
             state = recorded.step(state, jax.numpy.ones((*state.reward.shape, 1)))
             seen.append(state)
-    recording = read(tmp_path / "a.mcap")
+    recording = verified(tmp_path / "a.mcap")
     assert recording.configuration.n_env == (batch or 1)
     assert recording.configuration.dt == pytest.approx(2 * env.dt)
     assert column(recording, "physics_q").shape == (21, batch or 1, 2)
@@ -387,7 +381,7 @@ def test_a_cartpole_of_playground(full: bool, tmp_path: Path) -> None:
         for action in drawn(30):
             state = recorded.step(state, action)
             seen.append(state)
-    recording = read(tmp_path / "a.mcap")
+    recording = verified(tmp_path / "a.mcap")
     assert (recording.configuration.simulator, recording.configuration.dt) == ("mujoco_playground", 0.01)
     for name in ("qpos", "qvel"):
         assert np.array_equal(column(recording, f"physics_{name}"), np.stack([getattr(one.data, name) for one in seen]))
@@ -425,7 +419,7 @@ def test_images_that_are_observed(tmp_path: Path) -> None:
         for action in drawn(60):
             state = recorded.step(state, action)
             seen.append(np.asarray(state.obs["pixels"]))
-    recording = read(tmp_path / "a.mcap")
+    recording = verified(tmp_path / "a.mcap")
     assert (recording.status, recording.configuration.steps) == ("complete", 60)
     assert recording.configuration.options["images"] == "hash"
     assert np.array_equal(column(recording, "observation_pixels_hash"), image_hashes(np.stack(seen), lead=2))
@@ -456,6 +450,5 @@ sys.exit(ended)
 def test_a_copy_of_the_process_closes_nothing(tmp_path: Path) -> None:
     """Leave the recording to the process that began it: a copy lacks the thread that writes, and waits for none."""
     run_python(_FORKS, tmp_path / "a.mcap")
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert recording.status == "complete"

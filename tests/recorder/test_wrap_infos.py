@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpusimbench import UsageError, open_recording, verify, wrap
+from gpusimbench import UsageError, open_recording, wrap
 from gpusimbench.evaluator.read.episodes import episode_table
 from gpusimbench.recorder.vector.infos import info_arrays
 from gpusimbench.recorder.vector.modes import Mode
+from tests.reading import verified
 
 gymnasium = pytest.importorskip("gymnasium")
 MODES = ("NextStep", "SameStep", "Disabled")
@@ -62,8 +63,7 @@ def play(envs: Any, steps: int) -> None:
 def test_infos_are_those_of_the_steps(mode: str, tmp_path: Path) -> None:
     """Record what the info of a step said, never that of the reset behind it, and whether it said anything."""
     play(wrap(vector(3, mode), tmp_path / "a.mcap", steps=20, infos=("success", "score", "arm/force", "never")), 20)
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert recording.status == "complete"
     arrays = {
         field.field: recording.state("env", field.field)[:, :, 0, 0]

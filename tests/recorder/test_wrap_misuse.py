@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import time
 from dataclasses import dataclass, replace
@@ -15,10 +14,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from gpusimbench import RecordingWriter, UsageError, open_recording, record_rollout, verify, wrap
+from gpusimbench import RecordingWriter, UsageError, open_recording, record_rollout, wrap
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.vector.device import rows
 from gpusimbench.schemas.errors import DataLost
+from tests.limits import full_disk
+from tests.reading import verified
 from tests.recorder.engines import needed
 
 jax, jnp = needed("jax"), needed("jax.numpy")
@@ -80,9 +81,7 @@ def stepped(env: Any, path: Path, *, steps: int = 8, action: Any = None, before:
         state = recorded.reset(key())
         for step in range(steps):
             state = recorded.step(before(step, state) if before else state, action or jnp.zeros((N_ENV, 1)))
-    recording = open_recording(path)
-    verify(recording)
-    return recording
+    return verified(path)
 
 
 @pytest.mark.parametrize("autoreset", [False, True])
@@ -249,22 +248,18 @@ def test_lists_of_actions(tmp_path: Path) -> None:
 @pytest.mark.parametrize("functional", [True, False], ids=["a functional environment", "a vector"])
 def test_a_disk_that_is_full(functional: bool, tmp_path: Path) -> None:
     """Raise one error that says what was written, and leave nothing under the name of a whole recording."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, before[1]))  # Python ignores the signal
-    try:
-        with pytest.raises(
-            DataLost, match=r"writing stopped: File too large; what was written is in .*a\.mcap\.partial"
-        ):
-            if functional:
-                stepped(Counting(), tmp_path / "a.mcap", steps=2000)
-            else:
-                envs = gymnasium.make_vec("CartPole-v1", num_envs=N_ENV, vectorization_mode="sync")
-                with wrap(envs, tmp_path / "a.mcap", steps=2000) as recorded:
-                    recorded.reset(seed=0)
-                    for _ in range(2000):
-                        recorded.step(np.zeros(N_ENV, dtype=np.int64))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with (
+        full_disk(30_000),
+        pytest.raises(DataLost, match=r"writing stopped: File too large; what was written is in .*a\.mcap\.partial"),
+    ):
+        if functional:
+            stepped(Counting(), tmp_path / "a.mcap", steps=2000)
+        else:
+            envs = gymnasium.make_vec("CartPole-v1", num_envs=N_ENV, vectorization_mode="sync")
+            with wrap(envs, tmp_path / "a.mcap", steps=2000) as recorded:
+                recorded.reset(seed=0)
+                for _ in range(2000):
+                    recorded.step(np.zeros(N_ENV, dtype=np.int64))
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.partial"]
     assert open_recording(tmp_path / "a.mcap.partial").status == "incomplete"
 
@@ -305,6 +300,5 @@ def test_an_interruption_while_the_disk_is_behind(
             recorded.close()
     finally:
         signal.signal(number, before)
-    recording = open_recording(tmp_path / "a.mcap")
-    verify(recording)
+    recording = verified(tmp_path / "a.mcap")
     assert (recording.status, recording.configuration.steps) == ("complete", 70)

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpusimbench import open_recording
-from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import StateField, ball_fields, body_field, joint_field
+from tests.reading import verified
 
 
 @pytest.mark.parametrize(
@@ -58,8 +57,7 @@ def test_a_recording_keeps_the_units(tmp_path: Path) -> None:
         path, simulator="mine", version="1", scene="cart", n_env=2, dt=0.1, steps=1, fields=fields
     ) as log:
         log.append(*(np.zeros((2, 2, len(field.items), field.width)) for field in fields))
-    recording = open_recording(path)
-    verify(recording)
+    recording = verified(path)
     assert recording.fields == fields
     assert recording.fields[0].units == ("m", "rad")
     assert {field.frame for field in recording.fields} == {"joint"}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import resource
 import struct
 import tempfile
 import zlib
@@ -23,6 +22,7 @@ from gpusimbench.schemas.mcap.crc import combine
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.mcap.records import MAGIC, Op
 from gpusimbench.schemas.mcap.writer import COMPRESSIONS, McapWriter, Part
+from tests.limits import full_disk
 
 Sent = list[tuple[str, int, bytes]]
 
@@ -130,17 +130,13 @@ def test_every_large_message_has_left_the_process(tmp_path: Path) -> None:
 
 def test_a_full_disk(tmp_path: Path) -> None:
     """Raise where the disk takes a part of a chunk only."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
     with (tmp_path / "a.mcap").open("wb", buffering=0) as stream:
         writer = McapWriter(stream, profile=FORMAT, library="test")
         channel = writer.channel("/one", writer.schema("a.B", "protobuf", b""), {})
-        resource.setrlimit(resource.RLIMIT_FSIZE, (250_000, before[1]))  # Python ignores the signal
-        try:
+        with full_disk(250_000):
             writer.message(channel, bytes(200_000), log_time=1, publish_time=1, sequence=0)
             with pytest.raises(OSError, match="File too large"):
                 writer.message(channel, bytes(200_000), log_time=2, publish_time=1, sequence=1)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert [m.log_time for m in Container(tmp_path / "a.mcap").messages("/one")] == [1]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import struct
-import tracemalloc
 
 import pytest
 import zstandard
@@ -13,6 +12,8 @@ from hypothesis import strategies as st
 
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.model_files import _WORTH_BYTES, COMPRESSED, MAX_ARCHIVE_BYTES, MODEL, attachment, plain
+from tests.encoded import announcing
+from tests.limits import next_to_no_memory
 
 
 @given(
@@ -45,12 +46,6 @@ def test_other_attachments_are_as_they_are() -> None:
     assert plain(MODEL, _FRAME) == _FRAME
 
 
-def _announcing(frame: bytes, size: int) -> bytes:
-    # another content size in the head of a frame, in eight bytes; a single segment, no dictionary, no checksum
-    assert frame[:4] == b"\x28\xb5\x2f\xfd"
-    return frame[:4] + b"\xe0" + struct.pack("<Q", size) + frame[6:]
-
-
 _FRAME = zstandard.ZstdCompressor(write_checksum=False).compress(b"\x07" * 48)
 _STREAM = zstandard.ZstdCompressor(write_content_size=False).compress(b"\x07" * 48)
 _BOMB = zstandard.compress(bytes(1 << 25))  # 32 MiB in about a kilobyte
@@ -58,17 +53,17 @@ _BOMB = zstandard.compress(bytes(1 << 25))  # 32 MiB in about a kilobyte
 
 def test_a_frame_that_says_its_size_in_eight_bytes_is_read() -> None:
     """Show that the frames below are refused for the size that they announce alone."""
-    assert plain(COMPRESSED, _announcing(_FRAME, 48)) == b"\x07" * 48
+    assert plain(COMPRESSED, announcing(_FRAME, 48)) == b"\x07" * 48
 
 
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (_announcing(_FRAME, 1 << 42), f"announces {1 << 42} bytes, and at most {MAX_ARCHIVE_BYTES} bytes are read"),
-        (_announcing(_FRAME, MAX_ARCHIVE_BYTES + 1), "at most"),
-        (_announcing(_FRAME, MAX_ARCHIVE_BYTES), f"announces {MAX_ARCHIVE_BYTES} bytes, more than its .* can hold"),
-        (_announcing(_FRAME, 47), "cannot be decompressed"),
-        (_announcing(_FRAME, 49), "cannot be decompressed"),
+        (announcing(_FRAME, 1 << 42), f"announces {1 << 42} bytes, and at most {MAX_ARCHIVE_BYTES} bytes are read"),
+        (announcing(_FRAME, MAX_ARCHIVE_BYTES + 1), "at most"),
+        (announcing(_FRAME, MAX_ARCHIVE_BYTES), f"announces {MAX_ARCHIVE_BYTES} bytes, more than its .* can hold"),
+        (announcing(_FRAME, 47), "cannot be decompressed"),
+        (announcing(_FRAME, 49), "cannot be decompressed"),
         (_BOMB[:4] + b"\x60" + struct.pack("<H", 1000 - 256) + _BOMB[9:], "cannot be decompressed"),
         (_STREAM, "announces no size"),
         (_FRAME + _FRAME, "cannot be decompressed"),
@@ -78,13 +73,8 @@ def test_a_frame_that_says_its_size_in_eight_bytes_is_read() -> None:
 )
 def test_liars_are_refused(data: bytes, said: str) -> None:
     """Name the attachment and what is wrong with it, and allocate next to nothing for finding out."""
-    tracemalloc.start()
-    try:
-        with pytest.raises(DamagedRecording, match=said):
-            plain(COMPRESSED, data)
-        assert tracemalloc.get_traced_memory()[1] < 1 << 20
-    finally:
-        tracemalloc.stop()
+    with next_to_no_memory(), pytest.raises(DamagedRecording, match=said):
+        plain(COMPRESSED, data)
 
 
 @given(length=st.integers(0, len(_BOMB) - 1))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -17,7 +15,8 @@ from gpusimbench.schemas.blocks import decode_state, pack_state, state_bytes, st
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.packing import LEVELS, pack, unpack
-from tests.encoded import encode_state
+from tests.encoded import announcing, encode_state
+from tests.limits import next_to_no_memory
 
 _WORDS = {4: np.dtype("<u4"), 8: np.dtype("<u8")}
 
@@ -125,19 +124,13 @@ def _packed(frame: bytes, shape: tuple[int, int, int, int], **changes: Any) -> b
     return bytes(message.SerializeToString())
 
 
-def _announcing(frame: bytes, size: int) -> bytes:
-    """The frame with another content size in its header, in eight bytes."""
-    assert frame[:4] == b"\x28\xb5\x2f\xfd"
-    return frame[:4] + b"\xe0" + struct.pack("<Q", size) + frame[6:]  # single segment, no dictionary, no checksum
-
-
 _SMALL = zstandard.ZstdCompressor(level=1, write_checksum=False).compress(b"\x07" * 48)
 _STREAM = zstandard.ZstdCompressor(write_content_size=False).compress(b"\x07" * 48)
 
 
 def test_the_frames_of_these_tests_are_frames() -> None:
     """Read the frame with its own size in eight bytes, so that the refusals below are for the size alone."""
-    array = unpack(memoryview(_announcing(_SMALL, 48)), (2, 1, 2, 3), np.dtype("<f4"))
+    array = unpack(memoryview(announcing(_SMALL, 48)), (2, 1, 2, 3), np.dtype("<f4"))
     assert array.shape == (2, 1, 2, 3)
 
 
@@ -145,10 +138,10 @@ def test_the_frames_of_these_tests_are_frames() -> None:
     ("data", "message"),
     [
         (_packed(_SMALL, (2, 1, 2, 4)), "announces 48 bytes instead of 64"),
-        (_packed(_announcing(_SMALL, 1 << 30), (2, 1, 2, 3)), "announces 1073741824 bytes instead of 48"),
-        (_packed(_announcing(_SMALL, 1 << 29), (1 << 13, 1 << 8, 1 << 4, 4), crc32=0), "more than its"),
+        (_packed(announcing(_SMALL, 1 << 30), (2, 1, 2, 3)), "announces 1073741824 bytes instead of 48"),
+        (_packed(announcing(_SMALL, 1 << 29), (1 << 13, 1 << 8, 1 << 4, 4), crc32=0), "more than its"),
         (_packed(_SMALL, (2**31, 2**31, 2**31, 3)), "more than its"),
-        (_packed(_announcing(_SMALL, 64), (2, 1, 2, 4)), "cannot be decompressed"),
+        (_packed(announcing(_SMALL, 64), (2, 1, 2, 4)), "cannot be decompressed"),
         (_packed(_STREAM, (2, 1, 2, 3)), "announces no bytes"),
         (_packed(_SMALL + b"more", (2, 1, 2, 3)), "cannot be decompressed"),
         (_packed(_SMALL[:-3], (2, 1, 2, 3)), "cannot be decompressed"),
@@ -164,13 +157,8 @@ def test_the_frames_of_these_tests_are_frames() -> None:
 )
 def test_liars_are_refused_before_anything_is_allocated(data: bytes, message: str) -> None:
     """Name what is wrong with a packed block, and take next to no memory for finding out."""
-    tracemalloc.start()
-    try:
-        with pytest.raises(DamagedRecording, match=message):
-            decode_state(data)
-        assert tracemalloc.get_traced_memory()[1] < 1 << 20
-    finally:
-        tracemalloc.stop()
+    with next_to_no_memory(), pytest.raises(DamagedRecording, match=message):
+        decode_state(data)
 
 
 @given(st.data())

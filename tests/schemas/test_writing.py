@@ -6,32 +6,20 @@ import ast
 import errno
 import os
 import re
-import resource
 import secrets
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from gpusimbench.schemas import writing
 from gpusimbench.schemas.errors import GsbError, UsageError
+from tests.limits import full_disk
 
 _ROOT = Path(__file__).parents[2]
 _MODE = re.compile(r"[rbt]*[wax+][rwaxbt+]*")
 _WRITER = _ROOT / "schemas" / "writing.py"
-
-
-@contextmanager
-def full_disk(most: int) -> Iterator[None]:
-    """No file can be larger than so many bytes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_a_full_disk_leaves_the_earlier_file(tmp_path: Path) -> None:

@@ -85,7 +85,8 @@ def _blocks(number: int, result: GroupResult, machines: _Machines) -> Iterator[B
         yield _records(number, "Switches in force", simulation.switches)
     for index, (runs, recording) in enumerate(_origins(result)):
         yield _origin(f"{number}-{index}", runs, recording, result.label, machines)
-    parts = (_methods(number, result), *_not_computed(result))
+    computed = [_method(found) for found in result.metrics.values() if not isinstance(found.value, Missing)]
+    parts = (table(f"metrics-{number}", "", _TITLES, computed), *_not_computed(result))
     yield Section(f"methods-{number}", "Every metric, and how it was computed", parts, folded=True)
 
 
@@ -145,11 +146,6 @@ def _origins(result: GroupResult) -> list[tuple[str, Run]]:
 def _place(recording: Run) -> str:
     found = recording.provenance
     return repr((found.host, found.gpus, found.software, found.environment))
-
-
-def _methods(number: int, result: GroupResult) -> Table:
-    computed = [found for found in result.metrics.values() if not isinstance(found.value, Missing)]
-    return table(f"metrics-{number}", "", _TITLES, [_method(found) for found in computed])
 
 
 def _not_computed(result: GroupResult) -> Iterator[Block]:

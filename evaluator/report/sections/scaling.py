@@ -75,12 +75,6 @@ class SceneSweeps:
     remarks: list[str]
 
 
-def _scene_sweeps(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
-    """The sweeps by scene, in order."""
-    for nth, scene in enumerate(dict.fromkeys(s.key.scene for s in sweeps)):
-        yield _with_charts(scene, sweeps, {}, key_of("scaling", nth, scene))
-
-
 def beside_published(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
     """The paper's points at N_env^max, with the sweeps of the same scene where there are any."""
     for scene in ("free-fall", "franka"):
@@ -184,7 +178,8 @@ def steps_label(value: float) -> str:
 def section(source: Source) -> Section | None:
     """None without a sweep that measures something: tasks are recorded with several numbers of environments too."""
     measured = [sweep for sweep in source.evaluation.sweeps if sweep.measured]
-    found = list(_scene_sweeps(measured))
+    scenes = enumerate(dict.fromkeys(s.key.scene for s in measured))
+    found = [_with_charts(scene, measured, {}, key_of("scaling", nth, scene)) for nth, scene in scenes]
     if not found:
         return None
     blocks: list[Block] = []

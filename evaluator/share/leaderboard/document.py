@@ -62,7 +62,7 @@ def leaderboard_document(board: Board) -> Document:
         blocks.append(Part(f"unnamed{number}", title, (_without_place(f"unnamed{number}-none", section.rows),)))
     if board.notes:
         blocks.append(Part("notes", "Notes", (items(*board.notes),), plural(len(board.notes), "note"), folded=True))
-    blocks.append(_how_to_read())
+    blocks.append(Part("how", "How to read this", (items(*_explained()),), folded=True))
     made_by = (Text("The same rows for programs: leaderboard.json and leaderboard.csv, beside this page."),)
     return Document(board.title, tuple(blocks), _LEAD.format(plural(board.recordings, "recording")), made_by)
 
@@ -257,10 +257,6 @@ def _checked(row: Standing) -> Cell:
 
 def _reproduced(row: Standing) -> Cell:
     return Cell(formats.reproduced(row.reproduction), tone=Tone.GOOD if row.reproduction.reproduced else Tone.PLAIN)
-
-
-def _how_to_read() -> Part:
-    return Part("how", "How to read this", (items(*_explained()),), folded=True)
 
 
 def _explained() -> Iterator[str]:

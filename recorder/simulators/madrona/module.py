@@ -63,10 +63,6 @@ class MadronaOptions:
         """Number of the GPU that is asked for; None for the CPU."""
         return None if self.device == "cpu" else int(self.device.partition(":")[2] or 0)
 
-    def module_name(self) -> str:
-        """The module's import name, of the option or else of the environment; empty where neither names one."""
-        return self.module or os.environ.get(VARIABLE, "")
-
 
 def breach(module: str, obligation: str, what: str) -> UsageError:
     """The error that a module's obligation is not met."""
@@ -83,7 +79,7 @@ class SimulatorModule:
 
     def __init__(self, options: MadronaOptions) -> None:
         """Import it. UsageError where none is named, where it cannot be imported, or where it lacks a function."""
-        self.name = options.module_name()
+        self.name = options.module or os.environ.get(VARIABLE, "")
         if not self.name:
             raise UsageError(
                 f"simulator 'madrona' needs a simulator module of your own build ({CONTRACT}): name it with "
