@@ -143,7 +143,7 @@ def test_the_cause_is_named(line: str, cause: str, where: str, same: str, tmp_pa
     (tmp_path / "train.py").write_text(text.replace(line, cause + line), encoding="utf-8")
     options = ("--json", "found.json", "--", sys.executable, "train.py", "--updates", "1", "--seed", "3")
     said = " ".join(call("gsb-run", *options, cwd=tmp_path, code=4).stdout.split())
-    assert re.search(f"Run 0 and run 1 part {where}", said), said
+    assert re.search(f"Run 0 and run 1 first differ {where}", said), said
     assert same in said.partition(" program ")[0]
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["verdict"] == "different" and found["all_compared"]
