@@ -26,11 +26,7 @@ _WHY = 60  # characters of why an arm is missing
 def left_alone(kind: str, others: str) -> Callable[[Arms], Asked | Missing]:
     """The question of environments that are left alone, beside others that are treated so, in words."""
 
-    def ask(arms: Arms) -> Asked | Missing:
-        beside = _beside(arms, kind)
-        if isinstance(beside, Missing):
-            return beside
-        base, recording, done = beside
+    def ask(arms: Arms, base: Recording, recording: Recording, done: Intervention) -> Asked | Missing:
         envs = sorted({*range(arms.n_env)} - {*done.treated(arms.n_env)})
         if not envs:
             return Missing("needs two environments")
@@ -38,21 +34,17 @@ def left_alone(kind: str, others: str) -> Callable[[Arms], Asked | Missing]:
             compare_pairs(Pairs(base, recording, same_slots(envs))), f"{len(envs)} environments beside {others}"
         )
 
-    return ask
+    return _of_beside(kind, ask)
 
 
 def goes_on(kind: str, what: str) -> Callable[[Arms], Asked | Missing]:
     """The question of all environments, that go on after they were treated so, in words with {step} and {more}."""
 
-    def ask(arms: Arms) -> Asked | Missing:
-        beside = _beside(arms, kind)
-        if isinstance(beside, Missing):
-            return beside
-        base, recording, done = beside
+    def ask(arms: Arms, base: Recording, recording: Recording, done: Intervention) -> Asked | Missing:
         said = what.format(step=done.step, more=done.more)
         return decided_alone(compare_pairs(Pairs(base, recording, same_slots(range(arms.n_env)))), said)
 
-    return ask
+    return _of_beside(kind, ask)
 
 
 def ask_fresh(arms: Arms) -> Asked | Missing:
@@ -90,6 +82,18 @@ def _treated(arms: Arms, kind: str) -> tuple[Recording, Intervention] | Missing:
         why = next((why for how, why in arms.failed.items() if f" {kind}@" in how), "")
         return Missing(f"its run is {why}" if why else f"needs a run with --intervene {KINDS[kind].form}")
     return found, Intervention.parse(found.configuration.intervention)
+
+
+def _of_beside(
+    kind: str, ask: Callable[[Arms, Recording, Recording, Intervention], Asked | Missing]
+) -> Callable[[Arms], Asked | Missing]:
+    """The question that is asked of a run that was left alone and one that was treated so, where there are both."""
+
+    def asked(arms: Arms) -> Asked | Missing:
+        beside = _beside(arms, kind)
+        return beside if isinstance(beside, Missing) else ask(arms, *beside)
+
+    return asked
 
 
 def _beside(arms: Arms, kind: str) -> tuple[Recording, Recording, Intervention] | Missing:

@@ -57,12 +57,14 @@ def faults_anywhere(result: GroupResult, results: Sequence[GroupResult]) -> tupl
 
 def checked_anywhere(result: GroupResult, results: Sequence[GroupResult]) -> bool:
     """Whether a check of mechanics could be made of a group, or of another group that is held against it."""
-    engine, key = _engine(result), result.group.key
-    return any(
-        r is result or (_engine(r) == engine and (r.group.key.dt == key.dt or r.group.key.scene != key.scene))
-        for r in results
-        if r.fidelity.checkable
-    )
+    engine = _engine(result)
+    return any(r is result or _is_held_against(result, engine, r) for r in results if r.fidelity.checkable)
+
+
+def _is_held_against(result: GroupResult, engine: GroupKey, other: GroupResult) -> bool:
+    """Whether what is wrong with another group, laws aside, is held against a group of an engine."""
+    ours, theirs = result.group.key, other.group.key
+    return _engine(other) == engine and (theirs.dt == ours.dt or theirs.scene != ours.scene)
 
 
 def _held_against(result: GroupResult, engine: GroupKey, other: GroupResult) -> Faults:
@@ -70,10 +72,9 @@ def _held_against(result: GroupResult, engine: GroupKey, other: GroupResult) -> 
     found, same_step = Faults(), result.group.key.dt == other.group.key.dt
     if other.group.asked.simulator != engine.simulator:
         return found
-    theirs = _engine(other)
-    if theirs == engine and (same_step or result.group.key.scene != other.group.key.scene):
+    if _is_held_against(result, engine, other):
         found = replace(faults(other), laws="")
-    if same_step and _begun_anyhow(theirs) == _begun_anyhow(engine):
+    if same_step and _begun_anyhow(_engine(other)) == _begun_anyhow(engine):
         found = replace(found, laws=_laws(other))
     return found
 

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.results.cost_metrics import common_memory
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.runs.groups import GroupKey, asked
+from gpusimbench.evaluator.runs.groups import GroupKey, asked, beside_cause
 from gpusimbench.evaluator.runs.labels import Given, labels, options_given
 from gpusimbench.evaluator.runs.outcome import joint_fields
 from gpusimbench.evaluator.runs.run import Run
@@ -56,8 +56,8 @@ class Failure(NamedTuple):
 
     def at(self, n_env: int) -> str:
         """As the end of a sweep."""
-        cause = "" if self.reason.startswith(f"{self.cause}:") else self.cause
-        return ": ".join(part for part in (f"{self.status} at {n_env:,}", cause, self.reason.rstrip(".")) if part)
+        why = beside_cause(self.cause, self.reason).rstrip(".")
+        return ": ".join(part for part in (f"{self.status} at {n_env:,}", self.cause, why) if part)
 
 
 @dataclass(frozen=True)

@@ -132,8 +132,13 @@ def shown_status(recording: Described) -> str:
 
 
 def shown_ending(recording: Described) -> str:
-    """The status, and why; a reason that begins with the kind of thing does not repeat it."""
-    return f"{shown_status(recording)}: {recording.reason.removeprefix(f'{recording.cause}: ')}"
+    """The status, and why."""
+    return f"{shown_status(recording)}: {beside_cause(recording.cause, recording.reason)}"
+
+
+def beside_cause(cause: str, reason: str) -> str:
+    """The reason as it stands behind the kind of thing that ended a run, which it does not repeat."""
+    return reason.removeprefix(f"{cause}: ")
 
 
 def status_notes(group: Group[Described]) -> list[str]:

@@ -34,6 +34,7 @@ from gpusimbench.evaluator.results.cost_metrics import DEVICE_MEMORY, FPS, HOST_
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.published import SCALING, AtLargest
 from gpusimbench.evaluator.results.sweeps import SOURCES, Accumulation, Sweep, SweepPoint
+from gpusimbench.evaluator.runs.groups import beside_cause
 from gpusimbench.evaluator.statistics.jackknife import Interval
 from gpusimbench.evaluator.statistics.matched import Variability
 from gpusimbench.schemas.text import cut, few, plural
@@ -251,7 +252,7 @@ def _points(sweep: Sweep, found: SceneSweeps) -> Table:
 
 def _point(sweep: Sweep, point: SweepPoint, found: SceneSweeps) -> Row:
     metrics = point.result.metrics
-    failures = tuple(f"{failure.short}: {failure.reason}" for failure in point.failures)
+    failures = tuple(f"{failure.short}: {beside_cause(failure.cause, failure.reason)}" for failure in point.failures)
     runs = f"{point.complete} of {len(point.recordings)} complete"
     return Row(
         (
