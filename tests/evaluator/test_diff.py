@@ -67,6 +67,15 @@ def changed(base: Path3, since: int, change: Callable[[NDArray[Any]], None]) -> 
     return at
 
 
+def put(value: float, *where: int) -> Callable[[NDArray[Any]], None]:
+    """Replace a number."""
+
+    def change(states: NDArray[Any]) -> None:
+        states[where] = value
+
+    return change
+
+
 def by_ulps(count: int, *where: int) -> Callable[[NDArray[Any]], None]:
     """Move a number by so many units in the last place."""
 
@@ -114,15 +123,8 @@ def test_a_difference_is_found_where_it_was_put(
 
 def test_opposite_signs_are_named_and_not_counted(tmp_path: Path) -> None:
     """Say that signs differ, and both numbers: the numbers in between say nothing. JSON has their count."""
-
-    def turned(states: NDArray[Any]) -> None:
-        states[1, 0, 0] = -0.25
-
-    def placed(states: NDArray[Any]) -> None:
-        states[1, 0, 0] = 0.25
-
-    base = changed(still(), 0, placed)
-    found = compare(record(tmp_path, base), record(tmp_path, changed(base, 3, turned), run=1))
+    base = changed(still(), 0, put(0.25, 1, 0, 0))
+    found = compare(record(tmp_path, base), record(tmp_path, changed(base, 3, put(-0.25, 1, 0, 0)), run=1))
     assert found.first is not None and found.first.state is not None
     number = found.first.state.number
     assert number.ulp is not None and number.ulp > 10**9
@@ -136,15 +138,8 @@ def test_opposite_signs_are_named_and_not_counted(tmp_path: Path) -> None:
 @pytest.mark.parametrize("value", [2.0, -2.0, 1e-3])
 def test_a_number_against_zero(tmp_path: Path, value: float) -> None:
     """Say that one is zero, and the distance: all numbers down to zero, which JSON counts, tell nothing."""
-
-    def placed(states: NDArray[Any]) -> None:
-        states[1, 0, 0] = value
-
-    def zero(states: NDArray[Any]) -> None:
-        states[1, 0, 0] = 0
-
-    base = changed(still(), 0, placed)
-    found = compare(record(tmp_path, base), record(tmp_path, changed(base, 3, zero), run=1))
+    base = changed(still(), 0, put(value, 1, 0, 0))
+    found = compare(record(tmp_path, base), record(tmp_path, changed(base, 3, put(0, 1, 0, 0)), run=1))
     assert found.first is not None and found.first.state is not None
     number = found.first.state.number
     assert number.ulp is not None and number.ulp > 10**8
