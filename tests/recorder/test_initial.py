@@ -175,8 +175,8 @@ def test_bodies_that_are_not_identical(gsb_record: Command, tmp_path: Path) -> N
 
 def test_exchanged_beside_origins() -> None:
     """Exchange states without rounding a position at another place."""
-    fields, origins = body_fields(FALL.groups(), "float32"), ((0.0, 0.0, 0.0), (1e3, 8.0, 0.0))
-    states = tuple(np.random.default_rng(0).random((2, len(f.items), f.width)).astype("float32") for f in fields)
+    fields, origins = body_fields(FALL.groups(), "float64"), ((0.0, 0.0, 0.0), (1e3, 8.0, 0.0))
+    states = tuple(np.random.default_rng(0).random((2, len(layout.items), layout.width)) for layout in fields)
     found = images(states, Relabelling.of(json.loads(FALL.to_json())), fields, origins)
     assert all(np.array_equal(now, before[:, ::-1]) for now, before in zip(found, states, strict=True))
 
