@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
-from gpusimbench.evaluator.check.protocol import Protocol
+from gpusimbench.evaluator.check.rules.findings import Protocol
 from gpusimbench.evaluator.compare.counted import compare_mechanics, compare_validity
 from gpusimbench.evaluator.compare.episodes import compare_episodes
 from gpusimbench.evaluator.compare.finding import Finding, Question, Settings
@@ -22,14 +22,12 @@ from gpusimbench.evaluator.compare.outcome import (
 from gpusimbench.evaluator.compare.result import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_arrays, compare_bits, compare_determinism
 from gpusimbench.evaluator.compute.work import Work
-from gpusimbench.evaluator.inputs.file_set import FileSet, without_copies
-from gpusimbench.evaluator.inputs.reader import Reader
+from gpusimbench.evaluator.inputs.reader import FileSet, Reader, without_copies
 from gpusimbench.evaluator.inputs.sample_time import notes_on, read_sampled
 from gpusimbench.evaluator.read import known_errors
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results import growth
-from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns, Runs
 from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS

@@ -9,8 +9,8 @@ from gpusimbench.evaluator.compare.finding import Change, Counted, Finding, Ques
 from gpusimbench.evaluator.compare.matching import Pair
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.report.words import trouble
-from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.fidelity import CheckVerdict, Fidelity, FidelityRow, fidelity
+from gpusimbench.evaluator.results.group_runs import Runs
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Measured

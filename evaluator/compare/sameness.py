@@ -8,8 +8,7 @@ import numpy as np
 
 from gpusimbench.evaluator.compare.finding import Change, Finding, judged, not_compared
 from gpusimbench.evaluator.missing import Missing, every, known
-from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns, Runs
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, comparable, identical
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate
 from gpusimbench.evaluator.runs.state_hashes import ArrayHistory, Histories

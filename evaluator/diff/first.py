@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.evaluator.diff.common import Selection
 from gpusimbench.evaluator.diff.numbers import Pairing, number
 from gpusimbench.evaluator.diff.result import Divergence, Number, StateDifference
-from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.evaluator.metrics.divergence import first_true

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.diff.program_parts import ComparedPart, Kind, Moment, ProgramDifference, is_action
 from gpusimbench.evaluator.diff.result import Divergence, FieldDifference
-from gpusimbench.evaluator.read.program import Updates
+from gpusimbench.evaluator.read.digests import Updates
 from gpusimbench.evaluator.read.recording import Recording
 
 _RESET, _STEP = Moment(1, 0), Moment(2, 0)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.player.playback import Playback, playback_of
 from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text, items
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.report.sections import (
@@ -33,7 +32,7 @@ from gpusimbench.evaluator.report.sections import (
     variability,
 )
 from gpusimbench.evaluator.report.sections.overview import asked_of, overview
-from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.source import Playback, Source, playback_of
 from gpusimbench.evaluator.report.verdicts import usual
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.text import plural

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from gpusimbench.evaluator.check.protocol import Unmet
+from gpusimbench.evaluator.check.rules.findings import Unmet
 from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.probe.questions import Probed
 from gpusimbench.evaluator.results.convergence import Convergence

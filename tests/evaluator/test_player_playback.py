@@ -9,9 +9,9 @@ import pytest
 
 from gpusimbench.evaluator.player.encode import encode
 from gpusimbench.evaluator.player.page import script
-from gpusimbench.evaluator.player.playback import BUDGET_BYTES, playback_of
 from gpusimbench.evaluator.render.templating import script as download
 from gpusimbench.evaluator.report.document import write_html
+from gpusimbench.evaluator.report.source import BUDGET_BYTES, playback_of
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.browser import Browser, needs_chromium

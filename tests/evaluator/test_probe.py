@@ -21,9 +21,9 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
 from gpusimbench.evaluator.probe.pairs import Pairs, _measured, compare_pairs
-from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of, interleaved
 from gpusimbench.evaluator.probe.questions import QUESTIONS, answers
 from gpusimbench.evaluator.probe.questions import probed as judged
+from gpusimbench.evaluator.probe.runs import Arm, Plan, arm_of, interleaved
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Section
 from gpusimbench.evaluator.render.terminal import print_document

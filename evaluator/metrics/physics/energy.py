@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from gpusimbench.evaluator.metrics.physics.vectors import length, square
+from gpusimbench.evaluator.metrics.physics.solids import length, square
 
 Array = npt.NDArray[np.float64]
 

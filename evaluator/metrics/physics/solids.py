@@ -1,4 +1,5 @@
-"""How deep spheres and boxes are in fixed bodies and in each other."""
+"""How deep spheres and boxes are in fixed bodies and in each other; and sums over the three components of many vectors,
+for numpy's own reductions are slow along so short an axis."""
 
 from __future__ import annotations
 
@@ -8,12 +9,27 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from gpusimbench.evaluator.metrics.physics.vectors import largest, length, square
-
 Array = npt.NDArray[np.float64]
-
 _PAIRS = 1 << 15  # of bodies at a time: as many as a core's cache holds
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
+
+
+def square(vector: Array) -> Array:
+    """Squared length, shape [...], of vectors [..., component]."""
+    return np.asarray(np.einsum("...i,...i->...", vector, vector))
+
+
+def length(vector: Array) -> Array:
+    """Length, shape [...], of vectors [..., component]."""
+    return np.sqrt(square(vector))
+
+
+def largest(vector: Array) -> Array:
+    """The largest component, shape [...], of vectors [..., component]."""
+    found = vector[..., 0]
+    for component in range(1, vector.shape[-1]):
+        found = np.maximum(found, vector[..., component])
+    return np.asarray(found)
 
 
 @dataclass(frozen=True)

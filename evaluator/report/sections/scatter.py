@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.document import Figure, Numbers, key_of
-from gpusimbench.evaluator.render.figures.axis import tick_label
+from gpusimbench.evaluator.render.figures.plot import tick_label
 from gpusimbench.evaluator.render.figures.scatter import Point, scatter
 from gpusimbench.evaluator.render.numbers import figure, interval
 from gpusimbench.evaluator.report.sections.rows import absences
