@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from gpusimbench.evaluator.compare.compare import Result
     from gpusimbench.evaluator.compare.finding import Settings
     from gpusimbench.evaluator.compare.history.history import History
-    from gpusimbench.evaluator.compare.result import Result
     from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.inputs.reader import Reader
     from gpusimbench.evaluator.render.document import Document

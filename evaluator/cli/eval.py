@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from gpusimbench.evaluator.compute.mapping import Mapper
     from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.render.document import Document
-    from gpusimbench.evaluator.results.evaluation import Evaluation
+    from gpusimbench.evaluator.results.evaluate import Evaluation
     from gpusimbench.evaluator.runs.run import Run
 
 

@@ -27,7 +27,7 @@ from gpusimbench.evaluator.report.verdicts import (
 )
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.fidelity import DEMANDED, CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical

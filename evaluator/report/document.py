@@ -34,7 +34,7 @@ from gpusimbench.evaluator.report.sections import (
 from gpusimbench.evaluator.report.sections.overview import asked_of, overview
 from gpusimbench.evaluator.report.source import Playback, Source, playback_of
 from gpusimbench.evaluator.report.verdicts import usual
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.writing import write_files
 

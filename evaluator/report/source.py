@@ -12,7 +12,7 @@ from gpusimbench.evaluator.player.clip import Clip, make_clip
 from gpusimbench.evaluator.player.encode import encode
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.verdicts import for_probe
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.metric import Metric, Table
 from gpusimbench.evaluator.results.metrics import of_table
 from gpusimbench.evaluator.results.result import GroupResult

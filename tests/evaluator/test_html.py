@@ -38,8 +38,7 @@ from gpusimbench.evaluator.results.details import (
     OffTheBoard,
     SunkCubes,
 )
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.metric import Estimate, missing
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import Comparison, Contender

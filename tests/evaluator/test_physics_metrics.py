@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.metrics.physics.energy import Displacements, FrictionCone, Rises, mechanical_energy
 from gpusimbench.evaluator.metrics.physics.gravity import (
     Stretches,
     deformation,
@@ -20,10 +19,14 @@ from gpusimbench.evaluator.metrics.physics.gravity import (
     trend,
 )
 from gpusimbench.evaluator.metrics.physics.solids import (
+    Displacements,
     FixedBox,
+    FrictionCone,
     HalfSpace,
+    Rises,
     box_distance,
     corner_depth,
+    mechanical_energy,
     nearest,
     overlap,
     rotations,

@@ -32,8 +32,7 @@ from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.sections.probed import depends, evidence
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.commands.folder_lock import folder_lock as held_by
 from gpusimbench.schemas.configuration import RunConfiguration

@@ -13,7 +13,7 @@ from gpusimbench.evaluator.render.figures.scatter import Point, scatter
 from gpusimbench.evaluator.render.numbers import figure, interval
 from gpusimbench.evaluator.report.sections.rows import absences
 from gpusimbench.evaluator.report.sections.scaling import steps_label
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
