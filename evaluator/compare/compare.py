@@ -6,7 +6,14 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.check.rules.findings import Protocol
-from gpusimbench.evaluator.compare.counted import compare_mechanics, compare_validity
+from gpusimbench.evaluator.compare.counted import (
+    all_alike,
+    compare_arrays,
+    compare_bits,
+    compare_determinism,
+    compare_mechanics,
+    compare_validity,
+)
 from gpusimbench.evaluator.compare.episodes import compare_episodes
 from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, Question, Settings, exit_code_of
 from gpusimbench.evaluator.compare.matching import Pair, check_across, match, pooled, seed_by_seed, seeds_said
@@ -19,7 +26,6 @@ from gpusimbench.evaluator.compare.outcome import (
     has_positions,
     joint_distances,
 )
-from gpusimbench.evaluator.compare.sameness import all_alike, compare_arrays, compare_bits, compare_determinism
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import FileSet, Reader, Unreadable, without_copies
 from gpusimbench.evaluator.inputs.sample_time import notes_on, read_sampled

@@ -7,9 +7,8 @@ import numpy as np
 
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.common import CommonField, Selection, common_fields, one_env, step_ratio
-from gpusimbench.evaluator.diff.first import first_divergence
+from gpusimbench.evaluator.diff.first import compare_program, first_divergence
 from gpusimbench.evaluator.diff.numbers import pairing
-from gpusimbench.evaluator.diff.program import compare_program
 from gpusimbench.evaluator.diff.program_parts import ProgramDifference
 from gpusimbench.evaluator.diff.result import Basis, ComparedStates, Difference
 from gpusimbench.evaluator.diff.settings import differing_settings, is_other_package

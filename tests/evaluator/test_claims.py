@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from gpusimbench.evaluator.audit.distribution import LawTest
 from gpusimbench.evaluator.audit.replays import distinct, unreproduced
 from gpusimbench.evaluator.audit.verdict import AuditLevel, Match, ladder
+from gpusimbench.evaluator.compare.counted import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.finding import Change
-from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.metrics.levels import verdict
 from gpusimbench.evaluator.missing import Missing, every
 from gpusimbench.evaluator.read.streams import Fingerprints

@@ -35,8 +35,6 @@ Limits = tuple[StateField, Array, Array, float]
 """Of a field of hinges: lower and upper limit of each [rad], and the largest speed of any [rad/s]."""
 
 _CHUNK_NUMBERS = 1 << 19
-_LARGE = 1e9  # in any SI unit: the simulation blew up
-
 _BLOWN = 1e9  # in any SI unit: the simulation blew up
 _LONGEST = 1e9  # [s]
 _UNIT = 2e-3  # rounding of an engine that computes in half precision makes a quaternion this much longer or shorter
@@ -61,7 +59,7 @@ def joint_facts(recording: Recording) -> Facts:
 def _joints_blown_up(array: StateArray, envs: Envs) -> npt.NDArray[np.bool_]:
     bad = np.zeros(envs[1] - envs[0] + 1, dtype=np.bool_)
     for rows in _rows(array, envs):
-        bad |= ~(np.abs(rows) <= _LARGE).all(axis=(0, 2, 3))
+        bad |= ~(np.abs(rows) <= _BLOWN).all(axis=(0, 2, 3))
     return bad
 
 
@@ -107,7 +105,7 @@ def limits_of(recording: Recording) -> tuple[Limits, ...] | Missing:
 
 def _limits(joints: Sequence[dict[str, Any]]) -> tuple[Array, Array, float]:
     keys = ("lower", "upper", "max_velocity")
-    lower, upper, speed = np.array([[checks.number(joint, key, -_LARGE, _LARGE) for key in keys] for joint in joints]).T
+    lower, upper, speed = np.array([[checks.number(joint, key, -_BLOWN, _BLOWN) for key in keys] for joint in joints]).T
     return lower, upper, float(speed.max())
 
 
