@@ -20,7 +20,6 @@ from gpusimbench.evaluator.report.sections import (
     episodes,
     mechanics,
     paper_tables,
-    playback,
     probed,
     problems,
     provenance,
@@ -53,7 +52,7 @@ SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
     scaling.section,
     scaling.accumulation,
     validity.section,
-    playback.section,
+    divergence.playback,
     density.section,
     consistency.section,
     divergence.section,
@@ -69,7 +68,7 @@ SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
 """Of a report, in order. A section that does not apply is None; where recordings lack what it needs, the title and the
 reason stand for it."""
 
-_OF_BODIES = (mechanics.section, playback.section, density.section, consistency.section)
+_OF_BODIES = (mechanics.section, divergence.playback, density.section, consistency.section)
 """Sections that nobody misses in a report on tasks, of which no bodies were recorded."""
 
 
