@@ -16,10 +16,10 @@ from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.addresses import Stamp, stamp_of
 from gpusimbench.evaluator.read.episodes import count_episodes
+from gpusimbench.evaluator.read.evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
-from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.streams import Fingerprints, of_both_phases
 from gpusimbench.evaluator.runs.growth import course_of
 from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_memory

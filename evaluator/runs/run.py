@@ -12,8 +12,8 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.addresses import Stamp
 from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.read.episodes import EpisodeCounts
+from gpusimbench.evaluator.read.evidence import ActionStream
 from gpusimbench.evaluator.read.failing import Failing
-from gpusimbench.evaluator.read.step_evidence import ActionStream
 from gpusimbench.evaluator.runs.growth import Course
 from gpusimbench.evaluator.runs.outcome import JointSample, Positions
 from gpusimbench.evaluator.runs.physics.depth import Sunk
