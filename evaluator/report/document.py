@@ -9,7 +9,6 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text, items
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.report.sections import (
-    canonical,
     comparison,
     consistency,
     convergence,
@@ -47,7 +46,7 @@ SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
     probed.section,
     mechanics.section,
     convergence.section,
-    canonical.section,
+    mechanics.laws,
     throughput.section,
     scaling.section,
     scaling.accumulation,
