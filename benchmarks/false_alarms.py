@@ -31,8 +31,8 @@ from gpusimbench.evaluator.inputs.reader import FileSet, Reader
 from gpusimbench.evaluator.metrics.memory import Checkpoints
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.metric import Axis
-from gpusimbench.evaluator.runs.outcome import Positions
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
+from gpusimbench.evaluator.runs.positions import Positions
 from gpusimbench.evaluator.runs.run import Run as ReadRun
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode

@@ -34,7 +34,7 @@ from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import Group
-from gpusimbench.evaluator.runs.outcome import OutcomeArray, outcome_of, sample_positions
+from gpusimbench.evaluator.runs.positions import OutcomeArray, outcome_of, sample_positions
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError

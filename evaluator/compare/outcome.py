@@ -14,7 +14,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.group_runs import Runs, positions
 from gpusimbench.evaluator.results.joint_metrics import joint_spaces, run_distances
 from gpusimbench.evaluator.results.metric import Axis, Metric
-from gpusimbench.evaluator.runs.outcome import positional
+from gpusimbench.evaluator.runs.positions import positional
 from gpusimbench.evaluator.statistics.exchange import Shift, compare_distances, compare_within, least_p
 
 

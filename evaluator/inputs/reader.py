@@ -23,9 +23,9 @@ from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
 from gpusimbench.evaluator.read.streams import Fingerprints, of_both_phases
 from gpusimbench.evaluator.runs.growth import course_of
 from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_memory
-from gpusimbench.evaluator.runs.outcome import Positions, outcome_of, sample_joints, sample_positions
 from gpusimbench.evaluator.runs.physics.depth import count_sunk
 from gpusimbench.evaluator.runs.physics.measure import physics_of
+from gpusimbench.evaluator.runs.positions import Positions, outcome_of, sample_joints, sample_positions
 from gpusimbench.evaluator.runs.run import BitSummary, CountSummary, OverflowSummary, Run
 from gpusimbench.evaluator.runs.spread import spread
 from gpusimbench.evaluator.runs.state_hashes import Histories, array_histories, histories_of

@@ -25,7 +25,7 @@ from gpusimbench.evaluator.results.details import JointsBetweenEnvs, JointsBetwe
 from gpusimbench.evaluator.results.group_runs import NO_RUN, GroupRuns, Runs, differ, ends_of, named
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, over_runs
 from gpusimbench.evaluator.results.reference import Reference
-from gpusimbench.evaluator.runs.outcome import Joints
+from gpusimbench.evaluator.runs.positions import Joints
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
 from gpusimbench.schemas.text import plural

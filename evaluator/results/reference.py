@@ -12,7 +12,7 @@ from gpusimbench.evaluator.metrics.density import Density
 from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.outcome import NO_JOINTS, JointSample
+from gpusimbench.evaluator.runs.positions import NO_JOINTS, JointSample
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses, errors_of, local_errors_of, measured_tosses
 from gpusimbench.schemas.errors import DamagedRecording

@@ -15,9 +15,9 @@ from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.evidence import ActionStream
 from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.runs.growth import Course
-from gpusimbench.evaluator.runs.outcome import JointSample, Positions
 from gpusimbench.evaluator.runs.physics.depth import Sunk
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
+from gpusimbench.evaluator.runs.positions import JointSample, Positions
 from gpusimbench.evaluator.runs.spread import Spread
 from gpusimbench.evaluator.runs.state_hashes import ArrayHistory, Histories
 from gpusimbench.schemas.location import Place

@@ -19,7 +19,7 @@ from gpusimbench.evaluator.metrics.tosses import (
 )
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.outcome import in_env_frame
+from gpusimbench.evaluator.runs.positions import in_env_frame
 from gpusimbench.schemas import arrays, checks
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording

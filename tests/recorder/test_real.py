@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.runs.outcome import sample_positions
+from gpusimbench.evaluator.runs.positions import sample_positions
 from gpusimbench.recorder.cli import main
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.trials.real import parse_trials

@@ -24,9 +24,9 @@ from gpusimbench.evaluator.metrics.physics.solids import (
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import radii_of, supports_of
-from gpusimbench.evaluator.runs.outcome import OutcomeArray, in_env_frame, no_states, outcome_of
 from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, measured
 from gpusimbench.evaluator.runs.physics.states import Setting, States
+from gpusimbench.evaluator.runs.positions import OutcomeArray, in_env_frame, no_states, outcome_of
 
 Array = npt.NDArray[np.float64]
 

@@ -15,7 +15,6 @@ import numpy.typing as npt
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
-from gpusimbench.evaluator.runs.outcome import joint_fields, no_states, positional
 from gpusimbench.evaluator.runs.physics.balance import Balance
 from gpusimbench.evaluator.runs.physics.depth import Depths, Sunk, count_sunk, end_facts
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Fact, Facts, PhysicsFacts, Revision, measured
@@ -23,6 +22,7 @@ from gpusimbench.evaluator.runs.physics.gravity import Slides, fall_facts, slope
 from gpusimbench.evaluator.runs.physics.laws import laws_of
 from gpusimbench.evaluator.runs.physics.states import Setting, States, Walk, drawn_envs
 from gpusimbench.evaluator.runs.physics.world import world_of
+from gpusimbench.evaluator.runs.positions import joint_fields, no_states, positional
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import damage_in
 from gpusimbench.schemas.fields import StateField

@@ -15,9 +15,9 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.read.streams import Fingerprints
-from gpusimbench.evaluator.runs.outcome import in_env_frame
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Revision
 from gpusimbench.evaluator.runs.physics.world import World
+from gpusimbench.evaluator.runs.positions import in_env_frame
 from gpusimbench.schemas.initial import drawn
 from gpusimbench.schemas.text import ordinal
 
