@@ -10,9 +10,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-_TURN: Array = np.arange(720, dtype=np.float64) * (
-    2.0 * np.pi / 720.0
-)  # of the crank: so many that a turn's integral errs by rounding alone
+# of the crank: so many that a turn's integral errs by rounding alone
+_TURN: Array = np.arange(720, dtype=np.float64) * (2.0 * np.pi / 720.0)
 
 
 def pendulum_period(amplitude: Array, small: float) -> Array:
