@@ -27,8 +27,7 @@ from benchmarks.arguments import parser
 from gpusimbench.evaluator.compare.compare import compare
 from gpusimbench.evaluator.compare.finding import DEFAULT_GATES, Settings
 from gpusimbench.evaluator.compute.work import HERE
-from gpusimbench.evaluator.inputs.file_set import FileSet
-from gpusimbench.evaluator.inputs.reader import Reader
+from gpusimbench.evaluator.inputs.reader import FileSet, Reader
 from gpusimbench.evaluator.metrics.memory import Checkpoints
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.metric import Axis

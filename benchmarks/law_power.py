@@ -30,7 +30,7 @@ from benchmarks.law_changes import BUILT, POSITIVE, WHOLE, Change, change_model,
 from gpusimbench import RecordingWriter, Scene, Simulator, open_recording
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.report.sections.canonical import size
+from gpusimbench.evaluator.report.sections.mechanics import size
 from gpusimbench.evaluator.results.canonical import Law, laws
 from gpusimbench.evaluator.runs.physics.facts import LawCounts, LawValues, PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of

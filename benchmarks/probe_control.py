@@ -101,7 +101,7 @@ def probes(count: int, clean: int, seed: int = 0) -> Iterator[Probe]:
 
 def plan_of(probe: Probe) -> Any:
     """Its plan, as gsb-probe makes it."""
-    from gpusimbench.evaluator.probe.plan import Plan
+    from gpusimbench.evaluator.probe.runs import Plan
 
     options = tuple(f"{name}={value}" for name, value in probe.options.items())
     numbers = (1, 2 * probe.n_env)
@@ -115,7 +115,7 @@ def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
 
     A run that continues a snapshot also has the file with the snapshot, `saved`; it waits until there is such a file.
     """
-    from gpusimbench.evaluator.probe.record import differing
+    from gpusimbench.evaluator.probe.runs import differing
     from gpusimbench.evaluator.read.recording import Recording
     from gpusimbench.recorder.command.arguments import parser
     from gpusimbench.recorder.command.configure import configure

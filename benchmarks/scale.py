@@ -35,8 +35,8 @@ from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.results.identity_metrics import identical_steps
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.evaluator.share.pack import pack
-from gpusimbench.evaluator.statistics.floor import floor
+from gpusimbench.evaluator.share.copies import pack
+from gpusimbench.evaluator.statistics.permutation import floor
 from gpusimbench.evaluator.transport.large import certified_wasserstein1
 
 _Result = TypeVar("_Result")

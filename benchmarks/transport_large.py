@@ -70,7 +70,7 @@ def _nearest(a: Floats, b: Floats) -> None:
 
 
 def _exact(a: Floats, b: Floats) -> float:
-    from gpusimbench.evaluator.transport.exact import mean_assignment_distance
+    from gpusimbench.evaluator.transport.pair import mean_assignment_distance
     from gpusimbench.evaluator.transport.points import distance_matrix
 
     return mean_assignment_distance(distance_matrix(a, b))

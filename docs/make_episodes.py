@@ -23,7 +23,7 @@ from page_blocks import redraw
 from gpusimbench import open_recording
 from gpusimbench.evaluator.episodes.outcome import Outcome, outcome
 from gpusimbench.evaluator.episodes.side import Choice, choose, read_side
-from gpusimbench.evaluator.episodes.success import At
+from gpusimbench.evaluator.read.episodes import At
 from gpusimbench.evaluator.statistics.cases import mean_interval, rate_interval, resampled, wilson
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -16,8 +16,7 @@ from gpusimbench.evaluator.render.figures.svg import text
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.document import render_html
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 
 ROOT = Path(__file__).resolve().parent.parent
 _TITLE, _INDENT, _GAP = 40, 44, 20

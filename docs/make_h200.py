@@ -30,8 +30,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.words import EXCHANGED, exchanged
 from gpusimbench.evaluator.results.details import DistinctEnvs
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT, price_list
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, SweepPoint
 from gpusimbench.evaluator.runs.groups import GroupKey

@@ -21,8 +21,7 @@ import numpy as np
 from page_blocks import redraw
 
 from gpusimbench.evaluator.missing import known
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_END_POSITION,

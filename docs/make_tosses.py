@@ -22,8 +22,7 @@ from gpusimbench.evaluator.render.numbers import figure, interval
 from gpusimbench.evaluator.report.leaders import speaks_against_pair
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_DEPTH,

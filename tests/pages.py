@@ -11,7 +11,7 @@ from gpusimbench.evaluator.render.markdown import render_markdown
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.document import in_short, report
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 
 
 def part(page: str, key: str) -> str:

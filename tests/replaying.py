@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gpusimbench import open_recording, verify
-from gpusimbench.evaluator.episodes.success import At
+from gpusimbench.evaluator.read.episodes import At
 from gpusimbench.evaluator.replays.comparison import ReplayComparison, compare
 from gpusimbench.recorder.demonstrations.formats import data_set_at
 from gpusimbench.recorder.vector.making import registered

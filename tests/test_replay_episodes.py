@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import UsageError, open_recording, wrap
-from gpusimbench.evaluator.episodes.success import At
-from gpusimbench.evaluator.read.episodes import Episode, episodes
+from gpusimbench.evaluator.read.episodes import At, Episode, episodes
 from gpusimbench.evaluator.replays.comparison import compare
 from gpusimbench.evaluator.replays.document import verdict as sentence
 from gpusimbench.evaluator.replays.document import warnings

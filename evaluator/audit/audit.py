@@ -1,8 +1,9 @@
-"""An audit of recordings that were asked for the same: run again here, and held against each other."""
+"""An audit of recordings that were asked for the same: which of them can be trusted, run again here, and held against
+each other."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -10,17 +11,22 @@ import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.audit.distribution import LawTest, same_law
-from gpusimbench.evaluator.audit.matching import (
+from gpusimbench.evaluator.audit.replays import (
     DifferingSettings,
+    ReplayPlan,
+    Replays,
     closest,
     compared,
     distinct,
+    make_replays,
     match_of,
     sorted_out,
     unreproduced,
 )
-from gpusimbench.evaluator.audit.replaying import ReplayPlan, Replays, make_replays
 from gpusimbench.evaluator.audit.verdict import AuditLevel, AuditVerdict, ladder
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.check.rules.findings import Unchecked, check
+from gpusimbench.evaluator.check.rules.rule import Severity, load_rules
 from gpusimbench.evaluator.compute.recorder import Made
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference
@@ -28,14 +34,16 @@ from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import Group
-from gpusimbench.evaluator.runs.outcome import OutcomeArray, outcome_of
-from gpusimbench.evaluator.runs.positions import sample_positions
+from gpusimbench.evaluator.runs.positions import OutcomeArray, outcome_of, sample_positions
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas.commands.progress import each
+from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.location import Location
+from gpusimbench.schemas.gathering import gathered
+from gpusimbench.schemas.location import Location, Place
 from gpusimbench.schemas.provenance import REAL
+
+RULES = "integrity-1"
 
 
 class Outcome(Enum):
@@ -219,3 +227,62 @@ def _sample_time(recording: Recording, outcome: Sequence[StateField]) -> float |
     if isinstance(wanted, (int, float)) and 0 < wanted < 1e9 and sampling_step(wanted, dt) in steps:
         return float(wanted)
     return float(steps[-1] * dt)
+
+
+@dataclass(frozen=True)
+class Check:
+    """What became of checking files: findings by file, one sentence each.
+
+    recordings  those that can be audited, each run once
+    damaged     of each of the others; copies are named among the warnings of the file that is kept
+    broken      broken rules of those that can be audited
+    warnings    of those likewise
+    """
+
+    recordings: tuple[Recording, ...]
+    damaged: dict[Place, tuple[str, ...]]
+    broken: dict[Place, tuple[str, ...]]
+    warnings: dict[Place, tuple[str, ...]]
+
+
+def check_files(paths: Sequence[Place]) -> Check:
+    """Hold files against the rules of RULES; those that are damaged or have lost data are set aside, and copies."""
+    wanted = list(dict.fromkeys(paths))
+    files = [examine(path) for path in each(wanted, "checking recordings", sizes(wanted))]
+    report = check(files, [load_rules(RULES)])
+    errors = [finding for finding in report.findings if finding.rule.level is Severity.error]
+    found = [(path, f"{f.rule.id}: {f.found}") for f in errors if f.rule.damage for path in f.files]
+    said = {path for path, _ in found}
+    found += [(f.path, f.not_opened) for f in files if f.recording is None and f.path not in said]
+    found += _unasked(report.unchecked, {path for path, _ in found})
+    damaged = _by_file(found)
+    whole = [f.recording for f in files if isinstance(f.recording, Recording) and f.path not in damaged]
+    good, copies = _without_copies(whole)
+    kept = {recording.path for recording in good}
+    broken = [(path, f"{f.rule.id}: {f.found}") for f in errors for path in f.files if path in kept]
+    warned = [f for f in report.findings if f.rule.level is Severity.warning]
+    warnings = [(path, f"{f.rule.id}: {f.found}") for f in warned for path in f.files if path in kept]
+    return Check(good, damaged, _by_file(broken), _by_file([*copies, *warnings]))
+
+
+def _unasked(unchecked: Sequence[Unchecked], damaged: Set[Place]) -> list[tuple[Place, str]]:
+    # of files that nothing else is known of, rules by what keeps them from being asked
+    rules = gathered(
+        ((u.file, u.reason), u.rule.id) for u in unchecked if u.rule.level is Severity.error and u.file not in damaged
+    )
+    return [(path, f"{', '.join(ids)} cannot be checked: {reason}") for (path, reason), ids in rules.items()]
+
+
+def _without_copies(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[tuple[Place, str]]]:
+    # files of one run with different contents are damaged by RULES, and so are those without a content hash
+    kept: dict[str, Recording] = {}
+    copies = []
+    for recording in recordings:
+        first = kept.setdefault(recording.content_hash, recording)
+        if first is not recording:
+            copies.append((first.path, f"{recording.path} is a copy of {first.path.name}; it counts once"))
+    return tuple(kept.values()), copies
+
+
+def _by_file(findings: Sequence[tuple[Place, str]]) -> dict[Place, tuple[str, ...]]:
+    return {path: tuple(dict.fromkeys(sentences)) for path, sentences in gathered(findings).items()}

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gpusimbench.evaluator.audit.audit import Audit, Outcome
-from gpusimbench.evaluator.audit.checking import RULES, Check
+from gpusimbench.evaluator.audit.audit import RULES, Audit, Check, Outcome
 from gpusimbench.evaluator.audit.verdict import AuditLevel, Rung
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.brief import apart, equal_before, gap_before, place_of

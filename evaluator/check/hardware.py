@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.read.hardware import HardwareTrace
+from gpusimbench.evaluator.read.evidence import HardwareTrace
 from gpusimbench.evaluator.read.recording import Recording
 
 REASONS = {

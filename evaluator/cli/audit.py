@@ -8,8 +8,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, write_json
-from gpusimbench.evaluator.cli.entry import complain, entry_point, new_parser, say
+from gpusimbench.evaluator.cli.command import (
+    add_json,
+    check_target,
+    complain,
+    entry_point,
+    local_path,
+    new_parser,
+    say,
+    write_json,
+)
 from gpusimbench.schemas import text
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.text import line, show
@@ -135,9 +143,8 @@ def parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Audit and print; returns the exit code."""
-    from gpusimbench.evaluator.audit.audit import audit
-    from gpusimbench.evaluator.audit.checking import check_files
-    from gpusimbench.evaluator.audit.replaying import ReplayPlan
+    from gpusimbench.evaluator.audit.audit import audit, check_files
+    from gpusimbench.evaluator.audit.replays import ReplayPlan
     from gpusimbench.evaluator.audit.sections import audit_document, dump_json
     from gpusimbench.evaluator.audit.verdict import AuditLevel
     from gpusimbench.evaluator.read.addresses import expand_paths

@@ -10,8 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target
-from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
+from gpusimbench.evaluator.cli.command import add_json, answer, check_target, complain, entry_point, new_parser
 from gpusimbench.schemas.commands.folder_lock import folder_lock
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import ExitCode, UsageError

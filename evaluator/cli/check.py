@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_name
-from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
+from gpusimbench.evaluator.cli.command import add_json, answer, check_target, entry_point, local_name, new_parser
 from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place

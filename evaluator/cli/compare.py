@@ -6,16 +6,19 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import (
+from gpusimbench.evaluator.cli.command import (
     add_cache,
     add_json,
     add_sample_time,
+    answer,
     check_sample_time,
     check_target,
+    complain,
+    entry_point,
     local_path,
+    new_parser,
     store_of,
 )
-from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
 from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place, place
@@ -25,9 +28,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from gpusimbench.evaluator.compare.compare import Result
     from gpusimbench.evaluator.compare.finding import Settings
     from gpusimbench.evaluator.compare.history.history import History
-    from gpusimbench.evaluator.compare.result import Result
     from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.inputs.reader import Reader
     from gpusimbench.evaluator.render.document import Document

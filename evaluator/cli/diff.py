@@ -6,8 +6,15 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
-from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
+from gpusimbench.evaluator.cli.command import (
+    add_json,
+    answer,
+    check_target,
+    complain,
+    entry_point,
+    local_path,
+    new_parser,
+)
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place

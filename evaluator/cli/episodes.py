@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target
-from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
+from gpusimbench.evaluator.cli.command import add_json, answer, check_target, entry_point, new_parser
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
@@ -87,8 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
     from gpusimbench.evaluator.episodes.document import dump_json, episodes_document
     from gpusimbench.evaluator.episodes.outcome import outcomes, profiles
     from gpusimbench.evaluator.episodes.side import check_distinct
-    from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.read.episodes import At
     from gpusimbench.evaluator.runs.validation import verified
 
     check_target(arguments.json)
@@ -116,8 +115,8 @@ def _across(arguments: argparse.Namespace) -> int:
     from gpusimbench.evaluator.episodes.dependence import across, grouped
     from gpusimbench.evaluator.episodes.document import across_document, dump_across
     from gpusimbench.evaluator.episodes.side import check_distinct
-    from gpusimbench.evaluator.episodes.success import At
     from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.read.episodes import At
     from gpusimbench.evaluator.runs.validation import verified
 
     recordings = verified(list(expand(arguments.files)))

@@ -7,16 +7,19 @@ import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import (
+from gpusimbench.evaluator.cli.command import (
     add_cache,
     add_json,
     add_sample_time,
+    answer,
     check_sample_time,
     check_target,
+    complain,
+    entry_point,
     local_path,
+    new_parser,
     store_of,
 )
-from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
 from gpusimbench.evaluator.render.formats import Format
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.commands.suggestion import did_you_mean
@@ -29,7 +32,7 @@ if TYPE_CHECKING:
     from gpusimbench.evaluator.compute.mapping import Mapper
     from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.render.document import Document
-    from gpusimbench.evaluator.results.evaluation import Evaluation
+    from gpusimbench.evaluator.results.evaluate import Evaluation
     from gpusimbench.evaluator.runs.run import Run
 
 

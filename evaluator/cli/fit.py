@@ -6,8 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
-from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
+from gpusimbench.evaluator.cli.command import add_json, answer, check_target, entry_point, local_path, new_parser
 from gpusimbench.schemas.commands.folder_lock import folder_lock
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import ExitCode, UsageError

@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target
-from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser
+from gpusimbench.evaluator.cli.command import add_json, answer, check_target, entry_point, new_parser
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
@@ -110,8 +109,7 @@ def _check_recordings(arguments: argparse.Namespace) -> None:
 
 
 def _recorded(arguments: argparse.Namespace) -> tuple[Audit, ...]:
-    from gpusimbench.evaluator.imports.audit import REFERENCE
-    from gpusimbench.evaluator.imports.record import ModelRuns
+    from gpusimbench.evaluator.imports.audit import REFERENCE, ModelRuns
 
     names = list(dict.fromkeys(filter(None, (part.strip() for part in arguments.sim.split(",")))))
     engines = [name for name in names if name != REFERENCE]

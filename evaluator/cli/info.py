@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, write_json
-from gpusimbench.evaluator.cli.entry import complain, entry_point, new_parser
+from gpusimbench.evaluator.cli.command import add_json, check_target, complain, entry_point, new_parser, write_json
 from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import Place, place

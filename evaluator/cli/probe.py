@@ -9,8 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path
-from gpusimbench.evaluator.cli.entry import answer, complain, entry_point, new_parser
+from gpusimbench.evaluator.cli.command import (
+    answer,
+    check_target,
+    complain,
+    entry_point,
+    local_name,
+    local_path,
+    new_parser,
+)
 from gpusimbench.schemas.commands.folder_lock import folder_lock
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
@@ -18,7 +25,7 @@ from gpusimbench.schemas.location import place
 from gpusimbench.schemas.treatment import QUANTITIES, VARIED_SPREAD, Vary
 
 if TYPE_CHECKING:
-    from gpusimbench.evaluator.probe.plan import Plan
+    from gpusimbench.evaluator.probe.runs import Plan
     from gpusimbench.evaluator.read.recording import Recording
     from gpusimbench.evaluator.results.determinism_cost import Family
     from gpusimbench.schemas.location import Place
@@ -200,7 +207,7 @@ def _prices(recordings: list[Recording]) -> tuple[Family, ...]:
 
 def _recorded(arguments: argparse.Namespace) -> tuple[list[Place], list[str]]:
     """The recordings of all plans, those that were missing made; and what could not be recorded."""
-    from gpusimbench.evaluator.probe.record import ProbeFolder
+    from gpusimbench.evaluator.probe.runs import ProbeFolder
 
     plans = _plans(arguments)
     folder = ProbeFolder(arguments.out, partial(complain, "gsb-probe"))
@@ -211,7 +218,7 @@ def _recorded(arguments: argparse.Namespace) -> tuple[list[Place], list[str]]:
 
 def _plans(arguments: argparse.Namespace) -> list[Plan]:
     from gpusimbench.evaluator.compute.recorder import about, as_path
-    from gpusimbench.evaluator.probe.plan import Model, Plan
+    from gpusimbench.evaluator.probe.runs import Model, Plan
     from gpusimbench.schemas.model_files import pack
 
     plans = []

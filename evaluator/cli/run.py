@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
-from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser, say
+from gpusimbench.evaluator.cli.command import add_json, answer, check_target, entry_point, local_path, new_parser, say
 from gpusimbench.schemas.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:

@@ -9,16 +9,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gpusimbench.evaluator.cli.arguments import (
+from gpusimbench.evaluator.cli.command import (
     add_cache,
     add_json,
     check_sample_time,
     check_target,
+    complain,
+    entry_point,
     local_path,
+    new_parser,
     store_of,
     write_json,
 )
-from gpusimbench.evaluator.cli.entry import complain, entry_point, new_parser
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.commands.progress import each, sizes, stage
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
@@ -26,8 +28,7 @@ from gpusimbench.schemas.location import place
 from gpusimbench.schemas.text import block, line, plural, show
 
 if TYPE_CHECKING:
-    from gpusimbench.evaluator.share.pack import Copied
-    from gpusimbench.evaluator.share.recover import Recovered
+    from gpusimbench.evaluator.share.copies import Copied, Recovered
 
 _EPILOG = """\
 exit codes:
@@ -145,7 +146,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _pack(arguments: argparse.Namespace) -> int:
     from gpusimbench.evaluator.read.addresses import expand_paths
-    from gpusimbench.evaluator.share.pack import pack, unpack
+    from gpusimbench.evaluator.share.copies import pack, unpack
     from gpusimbench.schemas.packing import LEVELS
 
     packing = arguments.verb == "pack"
@@ -174,7 +175,7 @@ def _line(copied: Copied) -> str:
 
 
 def _recover(arguments: argparse.Namespace) -> int:
-    from gpusimbench.evaluator.share.recover import recover
+    from gpusimbench.evaluator.share.copies import recover
 
     source: Path = arguments.file
     name = source.name.removesuffix(PARTIAL).removesuffix(".mcap")

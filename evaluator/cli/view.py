@@ -9,8 +9,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import local_path
-from gpusimbench.evaluator.cli.entry import complain, entry_point, new_parser
+from gpusimbench.evaluator.cli.command import complain, entry_point, local_path, new_parser
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
@@ -90,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     program = Program.PAGE if out is not None else found(arguments.program)
     recordings = [Recording(path) for path in expand(arguments.files)]
     if arguments.program in ("auto", "page"):
-        from gpusimbench.evaluator.player.task_page import only_curves
+        from gpusimbench.evaluator.player.page import only_curves
 
         if only_curves(recordings):
             _curves(recordings, arguments.env, out, arguments.command_line, opened=not arguments.no_open)
@@ -112,7 +111,7 @@ def _ended(recordings: list[Recording]) -> int:
 
 
 def _curves(recordings: list[Recording], envs: list[int], out: Path | None, command: str, *, opened: bool) -> None:
-    from gpusimbench.evaluator.player.task_page import task_document
+    from gpusimbench.evaluator.player.page import task_document
     from gpusimbench.evaluator.render.html import render_page
 
     with stage("reading states"):

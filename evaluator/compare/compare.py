@@ -5,10 +5,17 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
-from gpusimbench.evaluator.check.protocol import Protocol
-from gpusimbench.evaluator.compare.counted import compare_mechanics, compare_validity
+from gpusimbench.evaluator.check.rules.findings import Protocol
+from gpusimbench.evaluator.compare.counted import (
+    all_alike,
+    compare_arrays,
+    compare_bits,
+    compare_determinism,
+    compare_mechanics,
+    compare_validity,
+)
 from gpusimbench.evaluator.compare.episodes import compare_episodes
-from gpusimbench.evaluator.compare.finding import Finding, Question, Settings
+from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, Question, Settings, exit_code_of
 from gpusimbench.evaluator.compare.matching import Pair, check_across, match, pooled, seed_by_seed, seeds_said
 from gpusimbench.evaluator.compare.numbers import Schedule, compare_numbers, compared_by, schedule
 from gpusimbench.evaluator.compare.outcome import (
@@ -19,17 +26,13 @@ from gpusimbench.evaluator.compare.outcome import (
     has_positions,
     joint_distances,
 )
-from gpusimbench.evaluator.compare.result import ComparedConfiguration, Result, counts
-from gpusimbench.evaluator.compare.sameness import all_alike, compare_arrays, compare_bits, compare_determinism
 from gpusimbench.evaluator.compute.work import Work
-from gpusimbench.evaluator.inputs.file_set import FileSet, without_copies
-from gpusimbench.evaluator.inputs.reader import Reader
+from gpusimbench.evaluator.inputs.reader import FileSet, Reader, Unreadable, without_copies
 from gpusimbench.evaluator.inputs.sample_time import notes_on, read_sampled
 from gpusimbench.evaluator.read import known_errors
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results import growth
-from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns, Runs
 from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
@@ -39,9 +42,99 @@ from gpusimbench.evaluator.runs.memory import notes as cotenant_notes
 from gpusimbench.evaluator.runs.memory import with_peers
 from gpusimbench.evaluator.statistics.families import able_to_reject, holm
 from gpusimbench.schemas.commands.progress import each
-from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.location import Place
+
+FEW_RUNS = 6
+"""With fewer runs a side, a warning: five can give p = 2/252 at best, which few comparisons at once exhaust."""
+
+
+@dataclass(frozen=True)
+class ComparedConfiguration:
+    """One configuration of both sets.
+
+    pair      its groups
+    order     of its complete runs in time
+    findings  in the order of the axes
+    warnings  what a reader must know of how far the findings can be relied on
+    notes     of runs that are not complete, and of those with another process on their GPU
+    timed     what the throughputs of base and head were measured over
+    """
+
+    pair: Pair
+    order: Schedule
+    findings: tuple[Finding, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    timed: tuple[TimedWork, TimedWork] = (TimedWork(), TimedWork())
+
+
+@dataclass(frozen=True)
+class Result:
+    """What the comparison of two sets found.
+
+    compared    one for each configuration
+    alone       groups without a partner: side, label, reason
+    unreadable  side and file
+    settings    what counts
+    tests       statistical comparisons that count and could show something, which p-values are adjusted for; those of
+                variability are a family of their own, and are not among them
+    lost        recordings that were cut short or lost data
+    notes       about the sets as a whole
+    """
+
+    compared: tuple[ComparedConfiguration, ...]
+    alone: tuple[tuple[str, str, str], ...]
+    unreadable: tuple[tuple[str, Unreadable], ...]
+    settings: Settings
+    tests: int
+    lost: int
+    notes: tuple[str, ...]
+
+    @property
+    def findings(self) -> list[Finding]:
+        """The findings of all configurations."""
+        return [finding for one in self.compared for finding in one.findings]
+
+    @property
+    def failing(self) -> list[Finding]:
+        """Those that fail a gate."""
+        return [finding for finding in self.findings if finding.fails(self.settings)]
+
+    @property
+    def comparable(self) -> bool:
+        """Whether every configuration, and at least one, was compared on an axis that counts, beyond how runs ended."""
+        return bool(self.compared) and all(
+            any(
+                f.change is not Change.NOT_COMPARED and counts(f.axis, self.settings)
+                for f in one.findings
+                if f.name != "complete_runs" or f.change in FAILING
+            )
+            for one in self.compared
+        )
+
+    @property
+    def open(self) -> list[Finding]:
+        """Those on an axis with a gate that neither fail nor pass."""
+        return [finding for finding in self.findings if finding.undecided(self.settings)]
+
+    @property
+    def undecided(self) -> list[Axis]:
+        """Axes with a gate on which some configuration is neither failed nor passed."""
+        found = {finding.axis for finding in self.open}
+        return [axis for axis in Axis if axis in found]
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """The exit code of gsb-compare."""
+        lost = bool(self.unreadable or self.lost)
+        return exit_code_of(failing=bool(self.failing), lost=lost, decided=self.comparable and not self.open)
+
+
+def counts(axis: Axis, settings: Settings) -> bool:
+    """Whether an axis decides."""
+    return settings.expect_same or axis in settings.gates
 
 
 def read_sides(
@@ -62,10 +155,6 @@ def read_sides(
                 "is compared with itself; record a second set"
             )
     return one, other
-
-
-FEW_RUNS = 6
-"""With fewer runs a side, a warning: five can give p = 2/252 at best, which few comparisons at once exhaust."""
 
 
 def compare(base: FileSet, head: FileSet, settings: Settings, work: Work, across: Collection[str] = ()) -> Result:

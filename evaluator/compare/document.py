@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from gpusimbench.evaluator.compare import words
+from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
-from gpusimbench.evaluator.compare.result import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.json_values import document_of, dump, picked, values_of
 from gpusimbench.evaluator.render.document import (
     Block,

@@ -14,10 +14,10 @@ from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Set
 from gpusimbench.evaluator.episodes.comparison import difference_of, evenly_repeated, pairs_of
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS
 from gpusimbench.evaluator.episodes.side import Episodes, choose, read_side
-from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.missing import known
+from gpusimbench.evaluator.read.episodes import At
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.results.aggregate import Runs
+from gpusimbench.evaluator.results.group_runs import Runs
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.cases import PERMUTATIONS

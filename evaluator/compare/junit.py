@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 from gpusimbench.evaluator.compare import words
+from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.compare.finding import Change, Finding
-from gpusimbench.evaluator.compare.result import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.schemas.text import line
 

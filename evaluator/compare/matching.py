@@ -11,7 +11,7 @@ from typing import Any
 
 from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, not_compared
 from gpusimbench.evaluator.episodes.clusters import seed_of
-from gpusimbench.evaluator.results.aggregate import Runs
+from gpusimbench.evaluator.results.group_runs import Runs
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked
 from gpusimbench.evaluator.runs.labels import labels, options_given

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, either_way, judged, not_compared
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, process_peak
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns, Runs
 from gpusimbench.evaluator.results.metric import Axis, Direction, Metric, each
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.runs.run import Run

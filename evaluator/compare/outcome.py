@@ -11,11 +11,10 @@ from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Set
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.metrics.variability import run_to_run_variability
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.group_runs import positions
+from gpusimbench.evaluator.results.group_runs import Runs, positions
 from gpusimbench.evaluator.results.joint_metrics import joint_spaces, run_distances
 from gpusimbench.evaluator.results.metric import Axis, Metric
-from gpusimbench.evaluator.runs.outcome import positional
+from gpusimbench.evaluator.runs.positions import positional
 from gpusimbench.evaluator.statistics.exchange import Shift, compare_distances, compare_within, least_p
 
 

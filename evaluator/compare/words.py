@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from functools import partial
 
+from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.compare.finding import DIFFERENT, Change, Finding
-from gpusimbench.evaluator.compare.result import ComparedConfiguration, Result, counts
 from gpusimbench.evaluator.episodes.document import difference, number
 from gpusimbench.evaluator.render.numbers import NONE, bounds, figure, scaled
 from gpusimbench.evaluator.results.metric import Axis, Direction

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from gpusimbench.evaluator.diff.result import Change, Difference, Divergence, Growth
 from gpusimbench.evaluator.missing import why_missing
-from gpusimbench.evaluator.render.figures import axis, lines, palette
+from gpusimbench.evaluator.render.figures import palette, plot
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, open_path, text, title
 from gpusimbench.evaluator.render.numbers import length
 from gpusimbench.schemas.text import plural, printable
@@ -41,7 +41,7 @@ def figure_of(found: Difference) -> str:
     times = _times(found)
     style = _STYLE.replace("LIGHT", palette.variables(dark=False)).replace("DARK", palette.variables(dark=True))
     series = _series(found.growth) if found.growth else []
-    legend, below = lines.legend([(index, name) for index, name, _ in series], _LEFT, _HEIGHT, _SIDE)
+    legend, below = plot.legend([(index, name) for index, name, _ in series], _LEFT, _HEIGHT, _SIDE)
     parts = [
         element("style", style.replace("RULES", palette.rules())),
         text(f"a: {found.a.label}, {found.a.file.name}", _LEFT, 16, class_="small"),
@@ -87,7 +87,7 @@ def _distances(
     found: Difference, times: tuple[float, float], series: Sequence[tuple[int, str, Sequence[float | None]]]
 ) -> list[str]:
     growth, bottom = found.growth, _TOP + _UPPER
-    frame = axis.frame(_LEFT, _TOP, _SIDE, _UPPER)
+    frame = plot.frame(_LEFT, _TOP, _SIDE, _UPPER)
     if not growth or not series:
         why = why_missing(growth) or "no recorded position differs"
         return [frame, text(f"no distances: {why}", _LEFT + _SIDE / 2, _TOP + _UPPER / 2, class_="mid")]
@@ -98,23 +98,23 @@ def _distances(
         return bottom - _UPPER * math.log(distance / low) / math.log(high / low)
 
     parts = []
-    for tick in axis.log_ticks(low, high):
+    for tick in plot.log_ticks(low, high):
         parts.append(element("line", x1=_LEFT, x2=_LEFT + _SIDE, y1=y(tick), y2=y(tick), class_="faint"))
-        parts.append(axis.left(_LEFT, y(tick), length(tick)))
+        parts.append(plot.left(_LEFT, y(tick), length(tick)))
     for index, name, values in series:
         points = [(_x(t, times), y(d)) for t, d in zip(growth.times, values, strict=True) if d]
-        marks = [lines.mark(index, *p) for p in points[:: -(-len(points) // _MARKED_POINTS)]]
-        parts.append(element("g", title(printable(name)), lines.path(index, open_path(points)), *marks))
+        marks = [plot.mark(index, *p) for p in points[:: -(-len(points) // _MARKED_POINTS)]]
+        parts.append(element("g", title(printable(name)), plot.path(index, open_path(points)), *marks))
     return [frame, *parts, text("distance of bodies", 14, _TOP + _UPPER / 2, class_="mid", rotate=-90)]
 
 
 def _equal(found: Difference, divergence: Divergence, times: tuple[float, float]) -> list[str]:
     top, bottom = _TOP + _UPPER + _GAP, _TOP + _UPPER + _GAP + _LOWER
     pairs = found.compared.n_env
-    parts = [axis.frame(_LEFT, top, _SIDE, _LOWER)]
-    parts += [axis.bottom(_x(t, times), bottom, axis.tick_label(t)) for t in axis.ticks(*times)]
-    parts += [axis.left(_LEFT, bottom - _LOWER * share, f"{pairs * share:.0f}") for share in (0.0, 1.0)]
-    parts.append(lines.path(0, _stairs(found.splits.agreeing, found.a.dt, times, pairs, bottom)))
+    parts = [plot.frame(_LEFT, top, _SIDE, _LOWER)]
+    parts += [plot.bottom(_x(t, times), bottom, plot.tick_label(t)) for t in plot.ticks(*times)]
+    parts += [plot.left(_LEFT, bottom - _LOWER * share, f"{pairs * share:.0f}") for share in (0.0, 1.0)]
+    parts.append(plot.path(0, _stairs(found.splits.agreeing, found.a.dt, times, pairs, bottom)))
     first = _x(divergence.time, times)
     if divergence.phase == "timed" and found.compared.hash_phase != "timed":  # the axis is that of the capture
         label = f"first difference: step {divergence.step_a} of the {divergence.phase} phase"

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.diff.common import CommonField
+from gpusimbench.evaluator.diff.common import CommonField, Selection
 from gpusimbench.evaluator.diff.result import Basis, FieldDifference, Number
-from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.metrics.divergence import as_words, differs, opposite_signs, resolution, ulp_distance
 
 

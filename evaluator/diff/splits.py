@@ -8,9 +8,8 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.diff.common import CommonField, common_steps
+from gpusimbench.evaluator.diff.common import CommonField, Selection, common_steps
 from gpusimbench.evaluator.diff.result import Basis, Change, Splits, StepRange
-from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.metrics.divergence import by_first_appearance
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.errors import DamagedRecording

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.diff.common import common_steps, picked
+from gpusimbench.evaluator.diff.common import Selection, common_steps, picked
 from gpusimbench.evaluator.diff.numbers import Pairing
-from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.mixing import GOLDEN, mix

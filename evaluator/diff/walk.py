@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.evaluator.diff.common import Selection
 from gpusimbench.evaluator.diff.numbers import Pairing, Tally
 from gpusimbench.evaluator.diff.result import Basis, FieldDifference, Growth
-from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement, CommonHashes
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching, fit_growth

@@ -13,7 +13,7 @@ from scipy import stats
 from gpusimbench.evaluator.episodes.comparison import LEAST, evenly_repeated
 from gpusimbench.evaluator.episodes.outcome import RETURN, SUCCESS, Outcome, outcomes
 from gpusimbench.evaluator.episodes.side import Episodes, with_common_clusters
-from gpusimbench.evaluator.episodes.success import At
+from gpusimbench.evaluator.read.episodes import At
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.cases import APART, PERMUTATIONS, in_proportion
 from gpusimbench.evaluator.statistics.families import holm

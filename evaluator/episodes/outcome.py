@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.episodes.side import Choice, Episodes, choose, read_side, without_repeats
-from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.read.episodes import EpisodeTable
+from gpusimbench.evaluator.read.episodes import At, EpisodeTable, successes
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.cases import (
     FEWEST,

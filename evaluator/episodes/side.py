@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.episodes.clusters import Starts, clusters_of
-from gpusimbench.evaluator.episodes.success import At, successes
 from gpusimbench.evaluator.read.episodes import (
+    At,
     EpisodeTable,
     episode_table,
     first_observations,
     has_episodes,
     has_rewards,
+    successes,
 )
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import NothingComparable, UsageError

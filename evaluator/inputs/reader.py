@@ -1,35 +1,31 @@
-"""From a file to a Run: opened, checked, read and closed again.
-
-A recording that cannot be read is found out here, and the others go on without it.
-"""
+"""From files to runs: each opened, checked, read and closed again; each run once."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gpusimbench.evaluator.check.protocol import unmet_by_file
+from gpusimbench.evaluator.check.rules.findings import unmet_by_file
 from gpusimbench.evaluator.compute.cache import Store
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.metrics.cotenants import CoTenants, cotenants
 from gpusimbench.evaluator.metrics.levels import AxisVerdict, verdict
 from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.addresses import Stamp, stamp_of
 from gpusimbench.evaluator.read.episodes import count_episodes
+from gpusimbench.evaluator.read.evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
-from gpusimbench.evaluator.read.stamp import Stamp, stamp_of
-from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.streams import Fingerprints, of_both_phases
 from gpusimbench.evaluator.runs.growth import course_of
 from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_memory
-from gpusimbench.evaluator.runs.outcome import outcome_of
 from gpusimbench.evaluator.runs.physics.depth import count_sunk
 from gpusimbench.evaluator.runs.physics.measure import physics_of
-from gpusimbench.evaluator.runs.positions import Positions, sample_joints, sample_positions
+from gpusimbench.evaluator.runs.positions import Positions, outcome_of, sample_joints, sample_positions
 from gpusimbench.evaluator.runs.run import BitSummary, CountSummary, OverflowSummary, Run
 from gpusimbench.evaluator.runs.spread import spread
 from gpusimbench.evaluator.runs.state_hashes import Histories, array_histories, histories_of
@@ -281,3 +277,36 @@ def read_all(paths: Sequence[Place], reader: Reader, work: Work) -> Iterator[Run
         if known and stamp and reader.verify and isinstance(read, Run):
             known.keep(stamp, read)
         yield read
+
+
+@dataclass(frozen=True)
+class FileSet:
+    """A set of files as they were read.
+
+    runs        that could be read, each once
+    unreadable  files that could not be read, and those that have the run id of another run
+    notes       on copies, a sentence each
+    """
+
+    runs: tuple[Run, ...]
+    unreadable: tuple[Unreadable, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def without_copies(files: Iterable[Run | Unreadable]) -> FileSet:
+    """Count each run once; a file that has the run id of another file, and another content, is unreadable."""
+    files = list(files)
+    runs: dict[str, Run] = {}
+    unreadable = [file for file in files if isinstance(file, Unreadable)]
+    notes: list[str] = []
+    # of a whole file and one that was cut short, the whole one stays
+    for run in sorted((file for file in files if isinstance(file, Run)), key=lambda run: run.status == "incomplete"):
+        first = runs.setdefault(run.provenance.run_id, run)
+        if first is run:
+            continue
+        if run.content_hash in (first.content_hash, ""):
+            notes.append(f"{run.path.name} is a copy of {first.path.name}; it counts once")
+        else:
+            why = f"{run.path} has the run id of {first.path.name} and another content: one of them was changed"
+            unreadable.append(Unreadable(run.path, DamagedRecording(why)))
+    return FileSet(tuple(runs.values()), tuple(unreadable), tuple(notes))

@@ -10,8 +10,8 @@ import numpy as np
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all
 from gpusimbench.evaluator.metrics.variability import sampling_step
-from gpusimbench.evaluator.read.stamp import Stamp
-from gpusimbench.evaluator.runs.outcome import joint_fields, positional
+from gpusimbench.evaluator.read.addresses import Stamp
+from gpusimbench.evaluator.runs.positions import joint_fields, positional
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.location import Place

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.metrics.physics.solids import rotations
-from gpusimbench.evaluator.metrics.physics.vectors import length
+from gpusimbench.evaluator.metrics.physics.solids import length, rotations
 
 Floats = NDArray[np.float64]
 

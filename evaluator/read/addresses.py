@@ -1,15 +1,18 @@
 """Files as commands are given them: folders, patterns and addresses that stand for several files; copies that do not
-last of files elsewhere."""
+last of files elsewhere; and whether a file is still the one that was read."""
 
 from __future__ import annotations
 
 import glob
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import GsbError, Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place
@@ -20,6 +23,9 @@ _NAMED = 6
 
 MAX_FILES = 10_000
 """An address that stands for more files is refused."""
+
+_SETTLED_NS = 2_000_000_000
+"""A file that was written so recently may change once more without its times telling."""
 
 
 def expand(places: Sequence[Place], *, copies: bool = False) -> list[Place]:
@@ -118,3 +124,25 @@ def fetched(location: Location, *, size: int | None = None) -> Iterator[Path]:
         except OSError as error:
             raise GsbError(f"cannot copy {location} to {folder}: {error.strerror}") from None
         yield copy
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """What a file system says of a file; a changed file has another, whatever is done to its modification time."""
+
+    device: int
+    inode: int
+    size: int
+    modified_ns: int
+    changed_ns: int
+
+
+def stamp_of(path: Place) -> Stamp | Missing:
+    """The stamp of a file of this machine; Missing where there is none that can be relied on."""
+    if isinstance(path, Location):
+        return Missing("the file is elsewhere")
+    with suppress(OSError, ValueError):
+        status = path.stat()
+        if time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS:
+            return Stamp(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+    return Missing("the file was changed a moment ago, or cannot be asked for its times")

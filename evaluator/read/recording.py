@@ -16,20 +16,20 @@ from gpusimbench.evaluator.read.actions import (
     read_actions,
 )
 from gpusimbench.evaluator.read.described import Described, Factors, factors_of
-from gpusimbench.evaluator.read.digests import digest_states
-from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
-from gpusimbench.evaluator.read.hardware import HardwareTrace, read_hardware
-from gpusimbench.evaluator.read.messages import MAX_END_BYTES, Messages
-from gpusimbench.evaluator.read.program import Updates, read_program
-from gpusimbench.evaluator.read.state_array import StateArray
-from gpusimbench.evaluator.read.step_evidence import (
+from gpusimbench.evaluator.read.digests import Updates, digest_states, read_program
+from gpusimbench.evaluator.read.evidence import (
     ActionStream,
+    HardwareTrace,
     Overflows,
     StepCounts,
     read_action_streams,
     read_counts,
+    read_hardware,
     read_overflows,
 )
+from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
+from gpusimbench.evaluator.read.messages import MAX_END_BYTES, Messages
+from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.read.streams import (
     Event,
     Fingerprints,

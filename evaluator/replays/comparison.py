@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.diff.settings import UNSET, differing_settings
-from gpusimbench.evaluator.episodes.success import At, successes
-from gpusimbench.evaluator.read.episodes import Episode, EpisodeTable, episode_table, episodes, has_episodes
+from gpusimbench.evaluator.read.episodes import (
+    At,
+    Episode,
+    EpisodeTable,
+    episode_table,
+    episodes,
+    has_episodes,
+    successes,
+)
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.replays.verdict import EpisodeVerdict, Judged, judge
 from gpusimbench.evaluator.statistics.cases import wilson

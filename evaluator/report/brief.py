@@ -12,9 +12,9 @@ from gpusimbench.evaluator.render.document import EMPTY, NONE, Block, Cell, Docu
 from gpusimbench.evaluator.render.numbers import estimate
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.leaders import Fastest, fastest, not_ranked
-from gpusimbench.evaluator.report.sections.canonical import sentence as laws_sentence
 from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.sections.episodes import counts_of, mean_of
+from gpusimbench.evaluator.report.sections.mechanics import laws_sentence
 from gpusimbench.evaluator.report.sections.scaling import sentence as sweep_sentence
 from gpusimbench.evaluator.report.verdicts import (
     NOT_COMPARED,
@@ -27,7 +27,7 @@ from gpusimbench.evaluator.report.verdicts import (
 )
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.fidelity import DEMANDED, CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical

@@ -6,11 +6,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.player.playback import Playback, playback_of
 from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text, items
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.report.sections import (
-    canonical,
     comparison,
     consistency,
     convergence,
@@ -21,7 +19,6 @@ from gpusimbench.evaluator.report.sections import (
     episodes,
     mechanics,
     paper_tables,
-    playback,
     probed,
     problems,
     provenance,
@@ -33,9 +30,9 @@ from gpusimbench.evaluator.report.sections import (
     variability,
 )
 from gpusimbench.evaluator.report.sections.overview import asked_of, overview
-from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.source import Playback, Source, playback_of
 from gpusimbench.evaluator.report.verdicts import usual
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.writing import write_files
 
@@ -49,12 +46,12 @@ SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
     probed.section,
     mechanics.section,
     convergence.section,
-    canonical.section,
+    mechanics.laws,
     throughput.section,
     scaling.section,
     scaling.accumulation,
     validity.section,
-    playback.section,
+    divergence.playback,
     density.section,
     consistency.section,
     divergence.section,
@@ -70,7 +67,7 @@ SECTIONS: tuple[Callable[[Source], Section | Missing | None], ...] = (
 """Of a report, in order. A section that does not apply is None; where recordings lack what it needs, the title and the
 reason stand for it."""
 
-_OF_BODIES = (mechanics.section, playback.section, density.section, consistency.section)
+_OF_BODIES = (mechanics.section, divergence.playback, density.section, consistency.section)
 """Sections that nobody misses in a report on tasks, of which no bodies were recorded."""
 
 

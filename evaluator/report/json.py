@@ -20,7 +20,7 @@ from gpusimbench.evaluator.report.timed import timed_record
 from gpusimbench.evaluator.results.canonical import Law, Unmeasured
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.metric import Estimate

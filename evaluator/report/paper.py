@@ -25,7 +25,7 @@ from gpusimbench.evaluator.render.figures.style import standalone
 from gpusimbench.evaluator.render.table_files import to_csv
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.text import printable
 from gpusimbench.schemas.writing import write_files

@@ -14,7 +14,7 @@ from typing import Any
 
 from gpusimbench.evaluator.missing import known, why_missing
 from gpusimbench.evaluator.report.words import floor_of
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import SETTINGS, TimedWork

@@ -24,7 +24,7 @@ from gpusimbench.evaluator.results.identity_metrics import identical
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.validity import BufferUse, Counted, OverflowSeen, Validity
 from gpusimbench.evaluator.runs.groups import Group, shown_status
-from gpusimbench.evaluator.statistics.floor import Floor
+from gpusimbench.evaluator.statistics.permutation import Floor
 from gpusimbench.evaluator.statistics.regimes import RegimeProbabilities
 from gpusimbench.schemas.text import bound, percent, plural
 

@@ -11,7 +11,6 @@ from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
 from gpusimbench.evaluator.metrics.throughput import frames_per_second, overhead
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.read.known_errors import wrong_time
-from gpusimbench.evaluator.results.aggregate import MEDIAN, Runs
 from gpusimbench.evaluator.results.details import (
     CaptureOverhead,
     DistinctRuns,
@@ -21,7 +20,7 @@ from gpusimbench.evaluator.results.details import (
     ShrunkRun,
     Throughput,
 )
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import MEDIAN, GroupRuns, Runs
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, each, missing, over_runs
 from gpusimbench.evaluator.results.timed_work import Speeds, speeds_of

@@ -15,7 +15,7 @@ from gpusimbench.evaluator.metrics.levels import Worst
 from gpusimbench.evaluator.metrics.memory import Checkpoints
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.timed_work import Speeds
-from gpusimbench.evaluator.statistics.floor import Floor
+from gpusimbench.evaluator.statistics.permutation import Floor
 from gpusimbench.evaluator.statistics.regimes import RegimeProbabilities
 
 _OPTIONAL = {"optional": True}

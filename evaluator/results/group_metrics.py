@@ -25,7 +25,6 @@ from gpusimbench.evaluator.metrics.variability import (
     run_to_run_variability,
 )
 from gpusimbench.evaluator.missing import Missing, why_missing
-from gpusimbench.evaluator.results.aggregate import NO_RUN, differ, ends_of
 from gpusimbench.evaluator.results.details import (
     BetweenEnvs,
     BetweenRuns,
@@ -37,10 +36,10 @@ from gpusimbench.evaluator.results.details import (
     SunkCubes,
     ToReference,
 )
-from gpusimbench.evaluator.results.group_runs import GroupRuns, no_positions
+from gpusimbench.evaluator.results.group_runs import NO_RUN, GroupRuns, differ, ends_of, no_positions
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, over_runs
-from gpusimbench.evaluator.statistics.floor import floor
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
+from gpusimbench.evaluator.statistics.permutation import floor
 from gpusimbench.evaluator.statistics.regimes import (
     MIN_RUNS,
     PRESENT_FROM_CM,

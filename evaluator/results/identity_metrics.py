@@ -13,7 +13,6 @@ from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time, 
 from gpusimbench.evaluator.metrics.levels import AxisVerdict, verdict
 from gpusimbench.evaluator.missing import Claim, Missing, why_missing
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
-from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
 from gpusimbench.evaluator.results.details import (
     AngleCurve,
     Changed,
@@ -24,7 +23,7 @@ from gpusimbench.evaluator.results.details import (
     OverTime,
     SpreadCurve,
 )
-from gpusimbench.evaluator.results.group_runs import GroupRuns, no_positions
+from gpusimbench.evaluator.results.group_runs import NO_RUN, GroupRuns, Runs, no_positions
 from gpusimbench.evaluator.results.metric import Direction, Estimate, Metric, Table, each, missing
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.state_hashes import Histories, side_by_side

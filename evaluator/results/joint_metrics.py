@@ -21,9 +21,8 @@ from gpusimbench.evaluator.metrics.joints import (
 )
 from gpusimbench.evaluator.metrics.variability import CM_PER_M
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, differ, ends_of
 from gpusimbench.evaluator.results.details import JointsBetweenEnvs, JointsBetweenRuns
-from gpusimbench.evaluator.results.group_runs import GroupRuns, named
+from gpusimbench.evaluator.results.group_runs import NO_RUN, GroupRuns, Runs, differ, ends_of, named
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, over_runs
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.runs.positions import Joints

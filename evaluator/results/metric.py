@@ -9,9 +9,8 @@ from typing import TypeVar
 
 from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.results.aggregate import MEAN, NO_RUN, Aggregator
 from gpusimbench.evaluator.results.details import Details, OverRuns
-from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.group_runs import MEAN, NO_RUN, Aggregator, GroupRuns
 from gpusimbench.evaluator.runs.run import Run
 
 BYTES = {"GB": 1e9, "MB": 1e6}

@@ -19,7 +19,7 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey, asked, beside_cause
 from gpusimbench.evaluator.runs.labels import Given, labels, options_given
-from gpusimbench.evaluator.runs.outcome import joint_fields
+from gpusimbench.evaluator.runs.positions import joint_fields
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.matched import MatchedPoint, matched_variability
 from gpusimbench.evaluator.transport.pair import wasserstein1

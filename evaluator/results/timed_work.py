@@ -9,7 +9,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from gpusimbench.evaluator.check.protocol import Unmet
+from gpusimbench.evaluator.check.rules.findings import Unmet
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.groups import GroupKey
 from gpusimbench.evaluator.runs.run import Run

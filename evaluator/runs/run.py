@@ -9,11 +9,11 @@ from gpusimbench.evaluator.metrics.levels import AxisVerdict
 from gpusimbench.evaluator.metrics.lost_cubes import Board
 from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.addresses import Stamp
 from gpusimbench.evaluator.read.described import Described
 from gpusimbench.evaluator.read.episodes import EpisodeCounts
+from gpusimbench.evaluator.read.evidence import ActionStream
 from gpusimbench.evaluator.read.failing import Failing
-from gpusimbench.evaluator.read.stamp import Stamp
-from gpusimbench.evaluator.read.step_evidence import ActionStream
 from gpusimbench.evaluator.runs.growth import Course
 from gpusimbench.evaluator.runs.physics.depth import Sunk
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts

@@ -14,8 +14,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of
 from gpusimbench.evaluator.read.state_array import StateArray
-from gpusimbench.evaluator.runs.outcome import joint_fields, positional
-from gpusimbench.evaluator.runs.positions import check_format, in_env_frame, no_states
+from gpusimbench.evaluator.runs.positions import check_format, in_env_frame, joint_fields, no_states, positional
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 

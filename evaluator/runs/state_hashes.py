@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.identity import SplitTree, distinct_over_time, split_tree, unchanging
-from gpusimbench.evaluator.read.program import Updates
+from gpusimbench.evaluator.read.digests import Updates
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.streams import Fingerprints
 

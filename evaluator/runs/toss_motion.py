@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -273,13 +271,9 @@ def _cube(recording: Recording) -> Cube:
     bodies = [body for body in bodies if body.get("group") == GROUP]
     if len(bodies) != 1:
         raise DamagedRecording(f"{recording.path}: the scene has {len(bodies)} bodies in {GROUP}; a toss has one cube")
-    edge = checks.vector(_shape(bodies[0]).get("size"), 3, "the cube's size")[0]
+    edge = checks.vector(checks.mapping(bodies[0], "shape").get("size"), 3, "the cube's size")[0]
     if not 1e-9 < edge < 1e9:
         raise DamagedRecording(f"{recording.path}: the cube's edge is {edge} m")
     mass = checks.number(bodies[0], "mass", 1e-9, 1e9)
     gravity = -checks.vector(scene.get("gravity"), 3, "gravity")[2]
     return Cube(edge, mass, mass * edge * edge / 6.0, gravity)
-
-
-def _shape(body: Mapping[str, Any]) -> Mapping[str, Any]:
-    return checks.mapping(body, "shape")

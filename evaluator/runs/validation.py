@@ -15,9 +15,8 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.failing import KINDS, ONLY_FAILING, LastStates
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, radii_of, supports_of
-from gpusimbench.evaluator.runs.outcome import outcome_of, positional
 from gpusimbench.evaluator.runs.physics.measure import check_described
-from gpusimbench.evaluator.runs.positions import check_format
+from gpusimbench.evaluator.runs.positions import check_format, outcome_of, positional
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.commands.progress import each, sizes
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording, damage_in

@@ -1,4 +1,5 @@
-"""Permutation tests: the W1 that samples of one law already have, and whether a number goes with a run's outcome."""
+"""Permutation tests: the W1 and the energy distance that samples of one law already have, and whether a number goes
+with a run's outcome."""
 
 from __future__ import annotations
 
@@ -8,9 +9,13 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import NDArray
 
 from gpusimbench.evaluator.compute.mapping import Mapper, serial
 from gpusimbench.evaluator.metrics.identity import bitwise_classes
+from gpusimbench.evaluator.metrics.variability import CM_PER_M
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.statistics.energy import EnergyDistance, energy_distance
 from gpusimbench.evaluator.transport.pair import Transport, wasserstein1
 from gpusimbench.evaluator.transport.points import in_canonical_order, point_array
 
@@ -23,6 +28,20 @@ ALPHA = 0.01
 _DRAWS = 9_999
 
 _AT_ONCE = 1_000_000  # numbers that are permuted at once: 8 MB
+
+_SQUARES_TIE = (
+    1e-12  # of the whole sum of squares: arrangements that are equal in exact arithmetic differ in the last bits
+)
+
+_SEED = 0
+
+_PERMUTATIONS = ((1000, 99), (2000, 19))
+"""Permutations by the number of points a side: one distance costs about n^2.5, and a table should take seconds."""
+
+_ENERGY_PERMUTATIONS = 999
+
+_ENERGY_POINTS = 20_000
+"""Of both sides: their distances are some four seconds of computing."""
 
 
 @dataclass(frozen=True)
@@ -188,11 +207,6 @@ def _pooled(envs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return envs.reshape(-1, envs.shape[-1])
 
 
-_SQUARES_TIE = (
-    1e-12  # of the whole sum of squares: arrangements that are equal in exact arithmetic differ in the last bits
-)
-
-
 def ranges_of(values: npt.ArrayLike, outcomes: npt.ArrayLike) -> list[tuple[int, float, float]]:
     """Runs of each outcome, their smallest and their largest value; the outcome with the smallest value first.
 
@@ -259,3 +273,43 @@ def _least(sides: list[npt.NDArray[np.float64]]) -> float:
     arrangements = math.factorial(sum(sizes)) // math.prod(map(math.factorial, sizes))
     alike = math.prod(math.factorial(sizes.count(size)) for size in set(sizes))
     return alike / arrangements
+
+
+@dataclass(frozen=True)
+class Floor:
+    """What exchanging whole environments between two sides gives, in cm.
+
+    w1      for W1
+    energy  for the energy distance
+    """
+
+    w1: PermutationFloor | Missing = Missing("it was not computed")
+    energy: EnergyDistance | Missing = Missing("it was not computed")
+
+
+def floor(a: NDArray[np.float64], b: NDArray[np.float64], mapper: Mapper) -> Floor:
+    """What W1 and energy distance [cm] are between two samples of one law: whole envs of a and b exchanged at random.
+
+    a, b    planar positions [m], shape [env, item, 2]
+    mapper  makes the distances
+    """
+    if all((side == side[:1]).all() for side in (a, b)):
+        alike = Missing("the environments of a side are identical: there is nothing to exchange")
+        return Floor(alike, alike)
+    a, b = a * CM_PER_M, b * CM_PER_M
+    return Floor(_of_w1(a, b, mapper), _of_energy(a, b))
+
+
+def _of_w1(a: NDArray[np.float64], b: NDArray[np.float64], mapper: Mapper) -> PermutationFloor | Missing:
+    points = max(a.shape[0] * a.shape[1], b.shape[0] * b.shape[1])
+    permutations = next((count for limit, count in _PERMUTATIONS if points <= limit), None)
+    if permutations is None:
+        return Missing(f"{points} points a side are too many for a permutation test")
+    return permutation_floor(a, b, n_permutation=permutations, seed=_SEED, mapper=mapper)
+
+
+def _of_energy(a: NDArray[np.float64], b: NDArray[np.float64]) -> EnergyDistance | Missing:
+    points = a.shape[0] * a.shape[1] + b.shape[0] * b.shape[1]
+    if points > _ENERGY_POINTS:
+        return Missing(f"{points} points are too many for their energy distance")
+    return energy_distance(a, b, n_permutation=_ENERGY_PERMUTATIONS, seed=_SEED)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from gpusimbench.evaluator.compute.mapping import Mapper, serial
 from gpusimbench.evaluator.metrics.identity import bitwise_classes
-from gpusimbench.evaluator.transport.exact import mean_assignment_distance
+from gpusimbench.evaluator.transport.pair import mean_assignment_distance
 from gpusimbench.evaluator.transport.points import (
     distance_matrix,
     in_canonical_order,

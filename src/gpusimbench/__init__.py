@@ -31,10 +31,10 @@ from gpusimbench.schemas.location import place
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from gpusimbench.evaluator.compare.result import Result
+    from gpusimbench.evaluator.compare.compare import Result
     from gpusimbench.evaluator.diff.result import Difference
     from gpusimbench.evaluator.read.recording import Recording
-    from gpusimbench.evaluator.results.evaluation import Evaluation
+    from gpusimbench.evaluator.results.evaluate import Evaluation
     from gpusimbench.recorder.log import RecordingWriter
     from gpusimbench.recorder.scenes.base import Scene
     from gpusimbench.recorder.simulators.base import Simulator

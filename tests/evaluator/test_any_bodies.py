@@ -24,8 +24,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.report.verdicts import alike, real, repeats
 from gpusimbench.evaluator.results.details import JointsBetweenEnvs
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.runs.outcome import outcome_of
-from gpusimbench.evaluator.runs.positions import sample_positions
+from gpusimbench.evaluator.runs.positions import outcome_of, sample_positions
 from gpusimbench.evaluator.runs.spread import spread
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.scenes.registry import make_scene

@@ -21,15 +21,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.audit.distribution import (
-    LawTest,
-    Unit,
-    least_p,
-    runs_needed,
-    same_law,
-)
-from gpusimbench.evaluator.audit.matching import closest
-from gpusimbench.evaluator.audit.replaying import ReplayPlan
+from gpusimbench.evaluator.audit.distribution import LawTest, Unit, least_p, runs_needed, same_law
+from gpusimbench.evaluator.audit.replays import ReplayPlan, closest
 from gpusimbench.evaluator.audit.verdict import AuditLevel, Match, ladder
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.provenance import SIMULATION

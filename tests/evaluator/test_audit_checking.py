@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from gpusimbench.evaluator.audit.checking import check_files
-from gpusimbench.evaluator.audit.matching import unreproduced
+from gpusimbench.evaluator.audit.audit import check_files
+from gpusimbench.evaluator.audit.replays import unreproduced
 from gpusimbench.evaluator.audit.verdict import Match, ladder
 from gpusimbench.evaluator.read.recording import Recording
 from tests.conftest import SMALL, Command

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.audit.audit import Audit, Outcome, judge_replays
-from gpusimbench.evaluator.audit.checking import Check
+from gpusimbench.evaluator.audit.audit import Audit, Check, Outcome, judge_replays
 from gpusimbench.evaluator.audit.distribution import LawTest, Unit
-from gpusimbench.evaluator.audit.matching import DifferingSettings, sorted_out
-from gpusimbench.evaluator.audit.replaying import Replays
+from gpusimbench.evaluator.audit.replays import DifferingSettings, Replays, sorted_out
 from gpusimbench.evaluator.audit.sections import audit_document
 from gpusimbench.evaluator.audit.verdict import AuditLevel, Match, ladder
 from gpusimbench.evaluator.compute.recorder import Made

@@ -31,7 +31,7 @@ from gpusimbench.evaluator.compute.cache import (
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs import reader
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all
-from gpusimbench.evaluator.read import stamp
+from gpusimbench.evaluator.read import addresses
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.json import dump_json
 from gpusimbench.evaluator.results.evaluate import evaluate
@@ -55,7 +55,7 @@ class Forbidden:
 @pytest.fixture
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let files that were just written count as such that are left alone."""
-    monkeypatch.setattr(stamp, "_SETTLED_NS", 0)
+    monkeypatch.setattr(addresses, "_SETTLED_NS", 0)
 
 
 @pytest.fixture
@@ -212,9 +212,9 @@ def test_a_result_of_another_kind_is_none(tmp_path: Path, small: Path) -> None:
     """Read a file whose entry holds something else, as a version of tomorrow might."""
     store = Store(tmp_path)
     known = reader.KnownFiles(store, Reader(1.0))
-    seen = stamp.stamp_of(small)
+    seen = addresses.stamp_of(small)
     assert seen
-    store.put(store.key(stamp.Stamp, seen), "hash")
+    store.put(store.key(addresses.Stamp, seen), "hash")
     store.put(known._key("hash", seen), [1, 2])
     assert known.find(small) is None
 
@@ -333,7 +333,7 @@ def test_a_file_read_elsewhere_is_not_kept(tmp_path: Path, small_set: list[Path]
     """Keep nothing under this machine's stamp that another machine read of a file of that name."""
 
     def elsewhere(function: Callable[[Any], Any], items: Iterable[Any], /) -> list[Any]:
-        return [replace(function(small_set[1]), stamp=stamp.Stamp(1, 2, 3, 4, 5)) for _ in items]
+        return [replace(function(small_set[1]), stamp=addresses.Stamp(1, 2, 3, 4, 5)) for _ in items]
 
     work = Work(elsewhere, Store(tmp_path))
     assert len(list(read_all([small_set[0]], Reader(1.0), work))) == 1

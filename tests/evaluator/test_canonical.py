@@ -21,7 +21,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.render.document import Table, Tone
-from gpusimbench.evaluator.report.sections.canonical import change
+from gpusimbench.evaluator.report.sections.mechanics import change
 from gpusimbench.evaluator.report.sections.overview import overview
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import for_probe, kept

@@ -17,7 +17,7 @@ from benchmarks.law_changes import Change
 from benchmarks.law_power import Setting, measured
 from gpusimbench import open_recording
 from gpusimbench.evaluator.metrics.physics.closed_form import falling_time, rotation_period
-from gpusimbench.evaluator.metrics.physics.falling import bounce
+from gpusimbench.evaluator.metrics.physics.gravity import bounce
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.results.canonical import Law, laws

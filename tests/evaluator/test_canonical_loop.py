@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from benchmarks.law_changes import Change, changed_scene
 from gpusimbench import RecordingWriter, Scene, open_recording
-from gpusimbench.evaluator.metrics.physics.four_bar import FourBar, wrapped
+from gpusimbench.evaluator.metrics.physics.closed_form import FourBar, wrapped
 from gpusimbench.evaluator.results.canonical import Law, Unmeasured, laws
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.physics.laws import laws_of

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.audit import matching
 from gpusimbench.evaluator.audit.distribution import LawTest
+from gpusimbench.evaluator.audit.replays import distinct, unreproduced
 from gpusimbench.evaluator.audit.verdict import AuditLevel, Match, ladder
+from gpusimbench.evaluator.compare.counted import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.finding import Change
-from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.metrics.levels import verdict
 from gpusimbench.evaluator.missing import Missing, every
 from gpusimbench.evaluator.read.streams import Fingerprints
@@ -202,10 +202,10 @@ def test_the_runs_of_an_audit(originals: list[int | None], replays: list[int | N
 
     there, here = ([_Recording(state) for state in side] for side in (originals, replays))
     known = None not in [*originals, *replays]
-    found = matching.distinct(there, here)  # type: ignore[arg-type]
+    found = distinct(there, here)  # type: ignore[arg-type]
     if originals or replays:
         assert (found is not None) == known
-    if not matching.unreproduced(there, here):  # type: ignore[arg-type]
+    if not unreproduced(there, here):  # type: ignore[arg-type]
         assert not originals or (known and set(originals) <= set(replays))
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from gpusimbench.evaluator.compare import document
+from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result
 from gpusimbench.evaluator.compare.document import comment, full, short
 from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
 from gpusimbench.evaluator.compare.numbers import Schedule
-from gpusimbench.evaluator.compare.result import ComparedConfiguration, Result
 from gpusimbench.evaluator.render.document import Block, Document, Items, Section, Table, Text, Tone, walk
 from gpusimbench.evaluator.results.metric import Axis, Direction
 

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
 from gpusimbench.evaluator.episodes.comparison import compare as compare_policies
 from gpusimbench.evaluator.episodes.comparison import difference_of
 from gpusimbench.evaluator.episodes.side import choose, read_side
-from gpusimbench.evaluator.episodes.success import At
+from gpusimbench.evaluator.read.episodes import At
 from gpusimbench.evaluator.statistics.cases import PERMUTATIONS
 from tests.conftest import call, made_once
 from tests.scripts import example

@@ -16,8 +16,8 @@ import pytest
 from markdown_it import MarkdownIt
 
 from gpusimbench.evaluator.cli.compare import main
+from gpusimbench.evaluator.compare.compare import Result
 from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
-from gpusimbench.evaluator.compare.result import Result
 from gpusimbench.evaluator.compare.words import verdict
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from gpusimbench.evaluator.compare import words
+from gpusimbench.evaluator.compare.compare import ComparedConfiguration, Result
 from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
-from gpusimbench.evaluator.compare.result import ComparedConfiguration, Result
 from gpusimbench.evaluator.compare.words import TITLES, cells, verdict
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.schemas.errors import ExitCode

@@ -18,9 +18,8 @@ from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.sections import convergence as page
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.convergence import Convergence
+from gpusimbench.evaluator.results.convergence import Convergence, Order, fit_order
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.statistics.convergence import Order, fit_order
 from tests.conftest import recorded
 from tests.scripts import drawn, script
 

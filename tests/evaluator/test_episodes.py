@@ -20,8 +20,8 @@ from gpusimbench.evaluator.episodes.comparison import compare, difference_of
 from gpusimbench.evaluator.episodes.document import warnings
 from gpusimbench.evaluator.episodes.outcome import FinishOrder, Outcome, outcome, profiles
 from gpusimbench.evaluator.episodes.side import Choice, Episodes, choose, read_side, with_common_clusters
-from gpusimbench.evaluator.episodes.success import At
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.episodes import At
 from gpusimbench.evaluator.statistics.cases import mcnemar, rate_interval, wilson
 from gpusimbench.recorder.vector.device.log import About, HostLog
 from gpusimbench.recorder.vector.modes import Mode

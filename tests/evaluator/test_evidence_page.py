@@ -24,8 +24,7 @@ from gpusimbench.evaluator.report.sections import (
     paper_tables,
 )
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.paper_tables import Limit, capability, variability
 from gpusimbench.schemas.provenance import Deviation

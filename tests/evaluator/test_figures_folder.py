@@ -24,8 +24,7 @@ from gpusimbench.evaluator.render.figures import matrix, style, svg
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.paper import HEAD, INDEX, named, to_pdf, write_figures
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from tests.conftest import finished
 from tests.synthetic import grid, write_recording, write_simulators, write_sweep
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gpusimbench.evaluator.inputs.file_set import without_copies
-from gpusimbench.evaluator.inputs.reader import Unreadable, read_run
+from gpusimbench.evaluator.inputs.reader import Unreadable, read_run, without_copies
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import DamagedRecording

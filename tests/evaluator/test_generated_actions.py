@@ -17,8 +17,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.read.actions import ActionContents, check_actions, read_actions
 from gpusimbench.evaluator.read.messages import Messages as Reader
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.evaluator.share.pack import pack, unpack
-from gpusimbench.evaluator.share.recover import recover
+from gpusimbench.evaluator.share.copies import pack, recover, unpack
 from gpusimbench.recorder.capture.actions import ActionWriter
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.workers import Workers

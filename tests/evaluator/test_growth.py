@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.inputs.reader import Reader
-from gpusimbench.evaluator.metrics.growth import growth, steady_growth
-from gpusimbench.evaluator.results.growth import notes
+from gpusimbench.evaluator.results.growth import growth, notes, steady_growth
 from gpusimbench.evaluator.runs.growth import Course
 from gpusimbench.evaluator.runs.run import Run
 from tests.conftest import call, distribution

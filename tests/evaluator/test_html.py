@@ -23,10 +23,10 @@ from gpusimbench.evaluator.metrics.guidelines import guidelines
 from gpusimbench.evaluator.metrics.levels import Worst
 from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar
 from gpusimbench.evaluator.missing import Missing, known, why_missing
-from gpusimbench.evaluator.player.playback import playback_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.templating import script
 from gpusimbench.evaluator.report.document import render_html, write_html
+from gpusimbench.evaluator.report.source import playback_of
 from gpusimbench.evaluator.results import group_metrics, published
 from gpusimbench.evaluator.results.details import (
     BetweenEnvs,
@@ -38,8 +38,7 @@ from gpusimbench.evaluator.results.details import (
     OffTheBoard,
     SunkCubes,
 )
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.metric import Estimate, missing
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import Comparison, Contender

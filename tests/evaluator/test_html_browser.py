@@ -15,8 +15,7 @@ from gpusimbench.evaluator.render.figures import matrix, palette, style
 from gpusimbench.evaluator.render.table_files import to_csv
 from gpusimbench.evaluator.report.document import report, write_html
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from tests.browser import Browser, needs_chromium
 from tests.conftest import finished
 from tests.synthetic import grid, write_recording, write_simulators, write_sweep

@@ -18,8 +18,7 @@ from gpusimbench.evaluator.report.leaders import Fastest, fastest
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.timed import TOO_SHORT
 from gpusimbench.evaluator.results.canonical import Law, laws
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.fidelity import DEMANDED
 from gpusimbench.evaluator.runs.physics.facts import LawValues, PhysicsFacts
 from gpusimbench.schemas.provenance import OverflowBit

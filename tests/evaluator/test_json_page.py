@@ -20,7 +20,7 @@ from gpusimbench.evaluator.json_values import MISSING
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.details import Details
 from gpusimbench.evaluator.results.metrics import METRICS
-from gpusimbench.evaluator.statistics.floor import Floor
+from gpusimbench.evaluator.statistics.permutation import Floor
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from tests.conftest import call, recorded, run_python
 from tests.json_keys import NAMES, Keys, broken, check, keys_of, write

@@ -24,8 +24,7 @@ from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.parquet import frames
 from gpusimbench.evaluator.results.details import BetweenRuns, OffTheBoard
-from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate, evaluate_files
 from gpusimbench.evaluator.results.group_metrics import CLAMPED
 from gpusimbench.evaluator.runs.run import Run
 from tests.pages import rows_of, tables_of, text_of

@@ -16,8 +16,7 @@ from gpusimbench.evaluator.metrics.tosses import Motion, at_rows, local_errors
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.details import OverTosses
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import W1_REAL
 from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_METRICS, TOSS_LOCAL_POSITION, TOSS_POSITION

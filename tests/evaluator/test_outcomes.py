@@ -23,8 +23,7 @@ from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.report.sections.overview import overview
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import DistinctRuns, Throughput
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.timed_work import speeds_of
 from gpusimbench.evaluator.statistics.permutation import ALPHA, p_value, ranges_of
 from tests.pages import text_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.results.aggregate import mean_of, median_of
+from gpusimbench.evaluator.results.group_runs import mean_of, median_of
 
 
 @given(st.floats(0, 1e9), st.integers(1, 12))

@@ -16,8 +16,7 @@ from gpusimbench.evaluator.render.numbers import mean_sd
 from gpusimbench.evaluator.render.table_files import as_csv, as_latex, table_files
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from tests.conftest import Command
 from tests.pages import rows_of, tables_of
 from tests.synthetic import grid, write_recording, write_simulators, write_sweep

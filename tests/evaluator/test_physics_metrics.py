@@ -9,20 +9,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.metrics.physics.energy import Displacements, FrictionCone, Rises, mechanical_energy
-from gpusimbench.evaluator.metrics.physics.falling import deformation, impact
-from gpusimbench.evaluator.metrics.physics.rolling import Stretches, descent, foot_speed
+from gpusimbench.evaluator.metrics.physics.gravity import (
+    Stretches,
+    deformation,
+    descent,
+    foot_speed,
+    impact,
+    rounding,
+    trend,
+)
 from gpusimbench.evaluator.metrics.physics.solids import (
+    Displacements,
     FixedBox,
+    FrictionCone,
     HalfSpace,
+    Rises,
     box_distance,
     corner_depth,
+    mechanical_energy,
     nearest,
     overlap,
     rotations,
     sphere_depth,
 )
-from gpusimbench.evaluator.metrics.physics.trend import rounding, trend
 
 seeds = st.integers(0, 2**32 - 1)
 

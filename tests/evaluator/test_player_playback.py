@@ -9,11 +9,10 @@ import pytest
 
 from gpusimbench.evaluator.player.encode import encode
 from gpusimbench.evaluator.player.page import script
-from gpusimbench.evaluator.player.playback import BUDGET_BYTES, playback_of
 from gpusimbench.evaluator.render.templating import script as download
 from gpusimbench.evaluator.report.document import write_html
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.report.source import BUDGET_BYTES, playback_of
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from tests.browser import Browser, needs_chromium
 from tests.evaluator.test_html import Page
 from tests.evaluator.test_player_clip import diverging

@@ -15,8 +15,7 @@ from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.sections.determinism_cost import SAME, ratio
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Family, Price
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.faults import faults
 from tests.pages import rows_of, tables_of, text_of
 from tests.synthetic import cubes_field, grid, write_recording

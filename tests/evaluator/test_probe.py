@@ -21,9 +21,9 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
 from gpusimbench.evaluator.probe.pairs import Pairs, _measured, compare_pairs
-from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of, interleaved
 from gpusimbench.evaluator.probe.questions import QUESTIONS, answers
 from gpusimbench.evaluator.probe.questions import probed as judged
+from gpusimbench.evaluator.probe.runs import Arm, Plan, arm_of, interleaved
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Section
 from gpusimbench.evaluator.render.terminal import print_document
@@ -32,8 +32,7 @@ from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.sections.probed import depends, evidence
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.commands.folder_lock import folder_lock as held_by
 from gpusimbench.schemas.configuration import RunConfiguration

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.check.integrity import examine
-from gpusimbench.evaluator.check.protocol import _shell
 from gpusimbench.evaluator.check.rules.facts import applies, fact_of
-from gpusimbench.evaluator.check.rules.findings import check
+from gpusimbench.evaluator.check.rules.findings import _shell, check
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Rule, RuleSet, Scope, Severity, load_rules, parse_rules
 from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.read.recording import Recording

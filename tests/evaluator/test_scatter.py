@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.render.document import Figure
-from gpusimbench.evaluator.render.figures.axis import tick_label
+from gpusimbench.evaluator.render.figures.plot import tick_label
 from gpusimbench.evaluator.render.figures.scatter import Box, Point, place, scatter
 from gpusimbench.evaluator.render.table_files import to_csv
 from gpusimbench.evaluator.report.sections.scatter import pictures

@@ -386,7 +386,8 @@ def test_what_is_known_is_not_checked_again(runs: Path, tmp_path: Path, monkeypa
     """Check a file once, and again when it is another one."""
     path = write(runs, grid(2))
     work = Work(store=Store(tmp_path / "cache"))
-    monkeypatch.setattr("gpusimbench.evaluator.read.stamp._SETTLED_NS", -(10**12))  # as if it had been written long ago
+    # as if it had been written long ago
+    monkeypatch.setattr("gpusimbench.evaluator.read.addresses._SETTLED_NS", -(10**12))
     calls: list[Path] = []
     real = contents.examine
     monkeypatch.setattr(contents, "examine", lambda given: calls.append(given) or real(given))  # type: ignore[func-returns-value]

@@ -16,8 +16,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.player.viewer import write_view
 from gpusimbench.evaluator.read.copying import Copier, records_of
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.evaluator.share.pack import pack, unpack
-from gpusimbench.evaluator.share.recover import recover
+from gpusimbench.evaluator.share.copies import pack, recover, unpack
 from gpusimbench.schemas.blocks import pack_state
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
 from gpusimbench.schemas.messages import embedded_schema, widened_schema

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from psutil import Process
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.share.recover import recover
+from gpusimbench.evaluator.share.copies import recover
 from gpusimbench.schemas.errors import DamagedRecording, FailedCrc, RecordingError, UsageError
 from gpusimbench.schemas.mcap.records import MAGIC
 from tests.conftest import call, wait_for

@@ -13,14 +13,13 @@ from gpusimbench.evaluator.metrics.divergence import GrowthFit
 from gpusimbench.evaluator.metrics.identity import Branch, SplitTree
 from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar
 from gpusimbench.evaluator.render.figures import (
-    axis,
     curves,
     density_map,
     divergence,
     dot_plot,
-    lines,
     matrix,
     palette,
+    plot,
     radar_chart,
     scaling,
     scatter,
@@ -210,8 +209,8 @@ def test_radar_leaves_gaps_open() -> None:
 def test_lines_and_marks_tell_many_groups_apart() -> None:
     """Repeat neither colour with dash nor colour with mark among more groups than there are colours."""
     count = 2 * len(palette.GROUPS_LIGHT)
-    assert len({lines.path(i, "M1 8H33") for i in range(count)}) == count
-    assert len({lines.mark(i, 17, 8) for i in range(count)}) == count
+    assert len({plot.path(i, "M1 8H33") for i in range(count)}) == count
+    assert len({plot.mark(i, 17, 8) for i in range(count)}) == count
 
 
 @pytest.mark.parametrize("dark", [False, True])
@@ -235,7 +234,7 @@ def _luminance(colour: str) -> float:
 @pytest.mark.parametrize(("low", "high"), [(-0.1, 0.7), (0.0, 1.0), (-1e-6, 1e-6), (3.0, 1e5)])
 def test_ticks_are_few_round_and_inside(low: float, high: float) -> None:
     """Place ticks within the axis only."""
-    found = axis.ticks(low, high)
+    found = plot.ticks(low, high)
     assert 2 <= len(found) <= 8
     assert min(found) >= low - 1e-9 * abs(low)
     assert max(found) <= high + 1e-9 * abs(high)
@@ -271,18 +270,18 @@ def test_coordinates_must_be_finite() -> None:
 )
 def test_logarithmic_ticks(low: float, high: float, expected: list[float]) -> None:
     """Put round values on a logarithmic axis, finer where it is short."""
-    assert axis.log_ticks(low, high) == pytest.approx(expected)
+    assert plot.log_ticks(low, high) == pytest.approx(expected)
 
 
 def test_ticks_at_powers_of_two() -> None:
     """Thin powers of two out evenly, and never leave the axis."""
-    assert axis.power_ticks(0.9, 40) == [1, 2, 4, 8, 16, 32]
-    many = axis.power_ticks(1, 2**20)
+    assert plot.power_ticks(0.9, 40) == [1, 2, 4, 8, 16, 32]
+    many = plot.power_ticks(1, 2**20)
     assert len(many) <= 8
     assert many[0] == 1
-    assert axis.power_ticks(5, 7) == []
+    assert plot.power_ticks(5, 7) == []
     with pytest.raises(ValueError, match="positive"):
-        axis.log_ticks(0, 1)
+        plot.log_ticks(0, 1)
 
 
 def draw_scaling(curves: list[scaling.Curve], **keywords: object) -> ET.Element:
@@ -316,7 +315,7 @@ def test_dots_have_whole_names_and_whole_counts() -> None:
     """Write long names above their rows, and no half between counts; ring exact zeros."""
     name = "mjx [determinism=exclude-nondeterministic, impl=jax]"
     dots = [dot_plot.Dot(0, name, 0.0), dot_plot.Dot(1, "b", 2.0)]
-    root = ET.fromstring(dot_plot.dot_plot(dots, value="checks", tick=axis.tick_label, best_first=False))
+    root = ET.fromstring(dot_plot.dot_plot(dots, value="checks", tick=plot.tick_label, best_first=False))
     assert [t.text for t in root.iter("text")] == ["0", "1", "2", "checks", name, "b"]
     assert classes(root).count("g0 nothing") == 1
 

@@ -16,8 +16,7 @@ from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.sections.overview import asked_of
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.sweeps import Sweep
 from tests.conftest import Command
 from tests.pages import part, print_all, rows_of, tables_of

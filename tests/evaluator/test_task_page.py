@@ -11,7 +11,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.cli.view import main
-from gpusimbench.evaluator.player.task_page import task_document
+from gpusimbench.evaluator.player.page import task_document
 from gpusimbench.evaluator.read.episodes import episodes
 from gpusimbench.evaluator.render.document import Figure, Section
 from gpusimbench.evaluator.render.figures.curves import MAX_BINS, End, curves_chart, shown_ends, shown_rows

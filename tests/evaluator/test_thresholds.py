@@ -17,13 +17,12 @@ from gpusimbench.evaluator.audit.distribution import Unit, exchangeable, least_p
 from gpusimbench.evaluator.compute.mapping import serial
 from gpusimbench.evaluator.metrics import cotenants, divergence, memory, variability
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.statistics import exchange, regimes
-from gpusimbench.evaluator.statistics import floor as floors
+from gpusimbench.evaluator.statistics import exchange, permutation, regimes
 from gpusimbench.evaluator.statistics.exchange import count_dealings, dealings
-from gpusimbench.evaluator.statistics.floor import floor
+from gpusimbench.evaluator.statistics.permutation import floor
 
 DOCS = Path(__file__).parents[2] / "docs"
-(_FEW, _ENOUGH), (_MANY, _SOME) = floors._PERMUTATIONS
+(_FEW, _ENOUGH), (_MANY, _SOME) = permutation._PERMUTATIONS
 
 SAID = [
     (
@@ -41,7 +40,8 @@ SAID = [
     ("metrics.md", f"{_ENOUGH} permutations up to {_FEW} points a side, {_SOME} up to {_MANY}, and none beyond"),
     (
         "metrics.md",
-        f"p-value of {floors._ENERGY_PERMUTATIONS} permutations, stands beside it for up to {floors._ENERGY_POINTS:,}",
+        f"p-value of {permutation._ENERGY_PERMUTATIONS} permutations, stands beside it for up to "
+        f"{permutation._ENERGY_POINTS:,}",
     ),
     ("gpu-memory.md", f"exceeds one of these three by more than {cotenants.UNEXPLAINED_BYTES >> 20} MiB"),
     ("gpu-memory.md", f"{cotenants.UNLIKE_BYTES >> 20} MiB larger than in another run"),
@@ -71,7 +71,7 @@ def test_permutations_of_the_floor(
     points: tuple[int, int], permutations: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Draw as many as the larger side allows, and say why where it allows none; in cm, of points in m."""
-    monkeypatch.setattr(floors, "_PERMUTATIONS", ((4, 9), (6, 3)))
+    monkeypatch.setattr(permutation, "_PERMUTATIONS", ((4, 9), (6, 3)))
     a, b = _envs(points[0]), _envs(points[1], seed=1)
     w1 = floor(a, b, serial).w1
     if permutations is None:
@@ -99,14 +99,14 @@ def test_points_of_the_energy_distance(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compute it of as many points on both sides together as are allowed, in cm, and say why not of one more."""
     from scipy.spatial.distance import cdist
 
-    monkeypatch.setattr(floors, "_ENERGY_POINTS", 10)
+    monkeypatch.setattr(permutation, "_ENERGY_POINTS", 10)
     a, b = _envs(2, 2), _envs(3, 2, seed=1)
     found = floor(a, b, serial).energy
     assert not isinstance(found, Missing)
     p, q = a.reshape(-1, 2), b.reshape(-1, 2)
     squared = 2 * cdist(p, q).mean() - cdist(p, p).mean() - cdist(q, q).mean()
     assert found.v_statistic in (pytest.approx(100 * squared), pytest.approx(10 * math.sqrt(squared)))
-    assert found.n_permutation == floors._ENERGY_PERMUTATIONS
+    assert found.n_permutation == permutation._ENERGY_PERMUTATIONS
     more = floor(a, _envs(4, 2, seed=1), serial).energy
     assert isinstance(more, Missing)
     assert more.reason.startswith("12 points are too many")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpusimbench.evaluator.audit.matching import compared, distinct, match_of
+from gpusimbench.evaluator.audit.replays import compared, distinct, match_of
 from gpusimbench.evaluator.audit.verdict import AuditLevel, AuditVerdict, ladder
 from gpusimbench.evaluator.cli.diff import main
 from gpusimbench.evaluator.diff.compare import compare

@@ -25,8 +25,7 @@ from gpusimbench.evaluator.report.document import render_html, report
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.parquet import METRICS, frames
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.timed_work import SHORT_S, TimedWork, Window
 from tests.evaluator.sets import WORDS
 from tests.pages import text_of

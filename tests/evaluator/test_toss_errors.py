@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from gpusimbench.evaluator.check.protocol import Unmet
+from gpusimbench.evaluator.check.rules.findings import Unmet
 from gpusimbench.evaluator.metrics.tosses import (
     Cube,
     Motion,

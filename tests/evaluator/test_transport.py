@@ -16,7 +16,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from gpusimbench.evaluator.transport import exact, pair
+from gpusimbench.evaluator.transport import pair
 from gpusimbench.evaluator.transport.compiled import compiled
 from gpusimbench.evaluator.transport.pair import UNEQUAL_COUNTS, wasserstein1
 from gpusimbench.evaluator.transport.points import net_mass
@@ -173,7 +173,7 @@ def test_raises_without_convergence(monkeypatch: pytest.MonkeyPatch) -> None:
         def emd2(*_: object, **__: object) -> tuple[float, dict[str, str]]:
             return 1.0, {"warning": "numItermax reached"}
 
-    monkeypatch.setattr(exact, "_pot", lambda: Stopped)
+    monkeypatch.setattr(pair, "_pot", lambda: Stopped)
     monkeypatch.setattr(pair, "ASSIGNMENT_LIMIT", 0)
     with pytest.raises(ValueError, match="did not converge: numItermax"):
         wasserstein1(cloud(2, 0), cloud(3, 1))
@@ -265,7 +265,7 @@ def test_compiled_assignment_has_the_same_bits(n: int) -> None:
     """Solved by the kernel or by SciPy, the mean over an assignment is the same number."""
     rng = np.random.default_rng(n)
     distance = cdist(rng.normal(size=(n, 2)), rng.normal(size=(n, 2)))
-    assert exact.mean_assignment_distance(distance, compiled=True) == exact.mean_assignment_distance(distance)
+    assert pair.mean_assignment_distance(distance, compiled=True) == pair.mean_assignment_distance(distance)
     a, b = rng.normal(size=(2, n, 2))
     found, plain = wasserstein1(a, b, alike=True), wasserstein1(a, b)
     assert (found.value, found.method, plain.method) == (plain.value, "assignment (compiled)", "assignment (scipy)")

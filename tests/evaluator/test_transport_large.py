@@ -26,8 +26,15 @@ from gpusimbench.evaluator.transport.kd_tree import (
     search,
     set_planes,
 )
-from gpusimbench.evaluator.transport.large import SAME_POINTS, Certified, certified_wasserstein1
-from gpusimbench.evaluator.transport.multiscale import COARSEST, RATIO, Solution, solve
+from gpusimbench.evaluator.transport.large import (
+    COARSEST,
+    RATIO,
+    SAME_POINTS,
+    Certified,
+    Solution,
+    certified_wasserstein1,
+    solve,
+)
 from tests.conftest import run_python
 
 COORDINATE = st.floats(-10.0, 10.0, width=32)

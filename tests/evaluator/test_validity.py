@@ -17,8 +17,7 @@ from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.results.details import CaptureOverhead
-from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.validation import demands, verify
 from gpusimbench.schemas.errors import DamagedRecording

@@ -16,8 +16,8 @@ from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.finding import Answer
-from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of
 from gpusimbench.evaluator.probe.questions import probed
+from gpusimbench.evaluator.probe.runs import Arm, Plan, arm_of
 from gpusimbench.evaluator.read.described import factors_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.identity_metrics import comparable

@@ -18,8 +18,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.diff.settings import differing_settings
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.evaluator.share.pack import pack
-from gpusimbench.evaluator.share.recover import recover
+from gpusimbench.evaluator.share.copies import pack, recover
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.log import RecordingWriter

@@ -10,11 +10,10 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Message
 from mcap.stream_reader import StreamReader
 
-from gpusimbench.evaluator.check.integrity.content import check_content, read_end
+from gpusimbench.evaluator.check.integrity.content import check_content, check_summary, read_end
 from gpusimbench.evaluator.check.integrity.problem import OF_STREAMS, WHOLE_CONTENT, Kind, Problems, without_path
 from gpusimbench.evaluator.check.integrity.scan import Scan, Stream, scan
 from gpusimbench.evaluator.check.integrity.streams import check_streams
-from gpusimbench.evaluator.check.integrity.summary import check_summary
 from gpusimbench.evaluator.check.integrity.view import check_view
 from gpusimbench.evaluator.read.addresses import fetched
 from gpusimbench.evaluator.read.described import Described, unconfirmed

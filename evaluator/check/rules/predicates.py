@@ -149,13 +149,9 @@ def _different(values: Mapping[str, Any], what: str) -> tuple[tuple[str, tuple[s
     if len(files) < 2:
         return ()
     usual = max(files, key=lambda key: len(files[key]))
-    shown = [f"{show(values[found[0]])} in {_files(found)}" for found in files.values()]
+    shown = [f"{show(values[found[0]])} in {plural(len(found), 'file')}" for found in files.values()]
     odd = tuple(file for key, found in files.items() if key != usual for file in found)
     return ((f"{what}{few(shown, _SHOWN, ' values')}", odd),)
-
-
-def _files(found: list[str]) -> str:
-    return plural(len(found), "file")
 
 
 def _all_distinct(values: Mapping[str, Any], _: Any, __: Any) -> tuple[tuple[str, tuple[str, ...]], ...]:

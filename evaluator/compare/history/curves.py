@@ -13,7 +13,7 @@ from gpusimbench.evaluator.compare.finding import Change, Settings, judged
 from gpusimbench.evaluator.compare.history.series import Entry, Series
 from gpusimbench.evaluator.compare.numbers import compared_by, matters
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.results.aggregate import MEDIAN
+from gpusimbench.evaluator.results.group_runs import MEDIAN
 from gpusimbench.evaluator.results.metric import Axis, Metric
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.statistics.change_points import (

@@ -6,7 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from gpusimbench.evaluator.compare.counted import compare_mechanics, compare_validity
+from gpusimbench.evaluator.compare.counted import (
+    all_alike,
+    apart_by_chance,
+    compare_bits,
+    compare_determinism,
+    compare_mechanics,
+    compare_validity,
+)
 from gpusimbench.evaluator.compare.finding import DIFFERENT, FAILING, Change, Finding, Settings, exit_code_of
 from gpusimbench.evaluator.compare.history.curves import Curve, Shift, curves_of, searched
 from gpusimbench.evaluator.compare.history.series import Entry, Point, Points, Series, series_of
@@ -18,7 +25,6 @@ from gpusimbench.evaluator.compare.outcome import (
     has_positions,
     joint_distances,
 )
-from gpusimbench.evaluator.compare.sameness import all_alike, apart_by_chance, compare_bits, compare_determinism
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.results.metric import Axis

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from gpusimbench.evaluator.compare.history.curves import Curve, Sample, Shift
+from gpusimbench.evaluator.compare.history.curves import Curve
 from gpusimbench.evaluator.compare.history.history import Fact, History, Traced
 from gpusimbench.evaluator.compare.history.series import ORDER
 from gpusimbench.evaluator.compare.history.words import headline
@@ -79,18 +79,12 @@ def _curve(curve: Curve, history: History) -> dict[str, Any]:
         "exact": curve.exact,
         "smallest_visible": curve.visible,
         "changes_missing": curve.changes_missing,
-        "samples": [_sample(sample) for sample in curve.samples],
-        "changes": [_shift_record(shift, curve, history) for shift in curve.shifts],
+        "samples": [picked(sample, "point value ci95 n") for sample in curve.samples],
+        "changes": [
+            {**values_of(shift), "label": history.points[shift.point].label, "exact": curve.exact}
+            for shift in curve.shifts
+        ],
     }
-
-
-def _sample(sample: Sample) -> dict[str, Any]:
-    return picked(sample, "point value ci95 n")
-
-
-def _shift_record(shift: Shift, curve: Curve, history: History) -> dict[str, Any]:
-    record: dict[str, Any] = values_of(shift)
-    return {**record, "label": history.points[shift.point].label, "exact": curve.exact}
 
 
 def _fact_record(fact: Fact, history: History) -> dict[str, Any]:

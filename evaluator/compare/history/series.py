@@ -8,8 +8,7 @@ from pathlib import Path
 
 from gpusimbench.evaluator.compare.matching import anywhere, machine
 from gpusimbench.evaluator.compute.work import Work
-from gpusimbench.evaluator.inputs.file_set import without_copies
-from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all
+from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all, without_copies
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, group
 from gpusimbench.evaluator.runs.labels import labels, options_given

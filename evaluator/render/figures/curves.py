@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.render.figures import axis, lines
+from gpusimbench.evaluator.render.figures import plot
 from gpusimbench.evaluator.render.figures.svg import element, figure, open_path, text, title
 
 MAX_BINS = 400
@@ -84,17 +84,17 @@ def curves_chart(
     low_edge = _TOP + _UPRIGHT
     named = [(index, label) for index, (label, _) in enumerate(curves)] if len(curves) > 1 else []
     long = {index for index, (_, values) in enumerate(curves) if len(shown_rows(values)) > _FEW}
-    legend, height = lines.legend(named, _LEFT, _HEIGHT, _SIDE, lines_alone=long)
-    ticks = axis.ticks(low, high, at_most=5) if high > low else []
+    legend, height = plot.legend(named, _LEFT, _HEIGHT, _SIDE, lines_alone=long)
+    ticks = plot.ticks(low, high, at_most=5) if high > low else []
     return figure(
         _WIDTH,
         _HEIGHT + height,
         name,
         *(element("line", x1=_LEFT, x2=_LEFT + _SIDE, y1=y(v), y2=y(v), class_="faint") for v in ticks),
         *(_end(end, x(end.step)) for end in shown_ends(ends, first, last)),
-        axis.frame(_LEFT, _TOP, _SIDE, _UPRIGHT),
-        *(axis.left(_LEFT, y(v), axis.tick_label(v)) for v in ticks),
-        *(axis.bottom(x(s), low_edge, axis.tick_label(s)) for s in axis.ticks(first, last)),
+        plot.frame(_LEFT, _TOP, _SIDE, _UPRIGHT),
+        *(plot.left(_LEFT, y(v), plot.tick_label(v)) for v in ticks),
+        *(plot.bottom(x(s), low_edge, plot.tick_label(s)) for s in plot.ticks(first, last)),
         text("step", _LEFT + _SIDE / 2, low_edge + 34, class_="mid"),
         *(_line(index, *curve, steps, x, y) for index, curve in enumerate(curves)),
         legend,
@@ -108,8 +108,8 @@ def _line(index: int, label: str, values: NDArray[np.float64], steps: NDArray[np
         for step, value in zip(steps[rows].tolist(), values[rows].tolist(), strict=True)
     ]
     data = open_path(places)
-    marks = [lines.mark(index, *at) for at in places if at] if len(places) <= _FEW else []
-    return element("g", title(label), lines.path(index, data), *marks) if data else ""
+    marks = [plot.mark(index, *at) for at in places if at] if len(places) <= _FEW else []
+    return element("g", title(label), plot.path(index, data), *marks) if data else ""
 
 
 def _end(end: End, at: float) -> str:

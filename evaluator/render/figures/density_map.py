@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import Density, log_density
-from gpusimbench.evaluator.render.figures import axis
+from gpusimbench.evaluator.render.figures import plot
 from gpusimbench.evaluator.render.figures.palette import LEVELS, level
 from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, number, open_path, text
 from gpusimbench.evaluator.results.result import Map
@@ -86,9 +86,9 @@ def density_map(
         _hexagons(plane, density, shared),
         element("path", d=bars_x, class_="bar") if bars_x else "",
         element("path", d=bars_y, class_="bar") if bars_y else "",
-        axis.frame(_LEFT, plane.top, width, height),
-        *(axis.bottom(plane.x(t), bottom, axis.tick_label(t)) for t in axis.ticks(x_min, x_max)),
-        *(axis.left(_LEFT, plane.y(t), axis.tick_label(t)) for t in axis.ticks(y_min, y_max)),
+        plot.frame(_LEFT, plane.top, width, height),
+        *(plot.bottom(plane.x(t), bottom, plot.tick_label(t)) for t in plot.ticks(x_min, x_max)),
+        *(plot.left(_LEFT, plane.y(t), plot.tick_label(t)) for t in plot.ticks(y_min, y_max)),
         text("x [m]", _LEFT + width / 2, bottom + 32, class_="mid"),
         text(f"off the map: {density.off_map:,} of {n_point:,}", right + _GAP + _SIDE, bottom + 32, class_="small end")
         if density.off_map
@@ -131,7 +131,7 @@ def count_scale(max_count: int) -> str:
         room = min((abs(places[mark] - places[other]) for other in labelled), default=math.inf)
         if mark in ends or room >= 34:
             labelled.append(mark)
-    labels = [axis.bottom(places[mark], 2 + height, f"{mark:,}") for mark in sorted(labelled)]
+    labels = [plot.bottom(places[mark], 2 + height, f"{mark:,}") for mark in sorted(labelled)]
     name = f"Colour scale: 1 to {max_count:,} positions in a hexagon, logarithmic"
     return figure(width + 50, 36, name, *steps, *labels)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import GrowthFit
-from gpusimbench.evaluator.render.figures import axis, lines
+from gpusimbench.evaluator.render.figures import plot
 from gpusimbench.evaluator.render.figures.svg import element, figure, open_path, text, title
 
 MAX_POINTS = 160
@@ -82,9 +82,9 @@ def divergence_chart(curves: Sequence[Curve], *, onset: float | None, name: str,
             return _LOW - _ZERO / 2
         return _TOP + (_FLOOR - _TOP) * (high - math.log10(value)) / (high - low)
 
-    ticks = [(v, y(v)) for v in axis.log_ticks(10**low, 10**high)]
+    ticks = [(v, y(v)) for v in plot.log_ticks(10**low, 10**high)]
     rows = [(v, at) for v, at in ticks if at <= _FLOOR - 3]  # below, its label would meet that of the zeros
-    columns = [(t, x(t)) for t in axis.ticks(0.0, last)] if last else []
+    columns = [(t, x(t)) for t in plot.ticks(0.0, last)] if last else []
     fitted = next((c for c in curves if c.fit), None)
     return figure(
         _WIDTH,
@@ -93,10 +93,10 @@ def divergence_chart(curves: Sequence[Curve], *, onset: float | None, name: str,
         element("rect", x=_LEFT, y=_FLOOR, width=_SIDE, height=_ZERO, class_="ground"),
         *(element("line", x1=_LEFT, x2=_LEFT + _SIDE, y1=at, y2=at, class_="faint") for _, at in rows),
         *(_window(fitted.fit, x) if fitted and fitted.fit else ()),
-        axis.frame(_LEFT, _TOP, _SIDE, _LOW - _TOP),
-        *(axis.left(_LEFT, at, _amount(v, unit)) for v, at in rows),
+        plot.frame(_LEFT, _TOP, _SIDE, _LOW - _TOP),
+        *(plot.left(_LEFT, at, _amount(v, unit)) for v, at in rows),
         text("exactly 0", _LEFT - 7, _LOW - _ZERO / 2 + 4, class_="end"),
-        *(axis.bottom(at, _LOW, axis.tick_label(t)) for t, at in columns),
+        *(plot.bottom(at, _LOW, plot.tick_label(t)) for t, at in columns),
         text("simulated time [s]", _LEFT + _SIDE / 2, _LOW + 34, class_="mid"),
         text("distance between envs", 14, (_TOP + _LOW) / 2, class_="mid", rotate=-90),
         *(_onset(x(onset)) if onset is not None and onset <= last else ()),
@@ -119,16 +119,16 @@ def _curve(curve: Curve, x: Scale, y: Scale) -> str:
     if len(curve.times) < LINE_FROM:
         for values, hollow in ((curve.rms, True), (curve.largest, False)):
             found = [(x(t), y(v)) for t, v in zip(curve.times, values, strict=True) if np.isfinite(v)]
-            parts += [lines.mark(curve.index, *at, hollow=hollow) for at in found]
+            parts += [plot.mark(curve.index, *at, hollow=hollow) for at in found]
         return element("g", *parts)
     for values, thin in ((curve.rms[rows], True), (curve.largest[rows], False)):
         places = [(x(t), y(v)) if np.isfinite(v) else None for t, v in zip(times, values, strict=True)]
         if thin:
-            parts.append(element("path", d=open_path(places), class_=f"{lines.colour_class(curve.index)} model"))
+            parts.append(element("path", d=open_path(places), class_=f"{plot.colour_class(curve.index)} model"))
             continue
-        parts.append(lines.path(curve.index, open_path(places)))
+        parts.append(plot.path(curve.index, open_path(places)))
         if len(rows) <= _FEW:
-            parts += [lines.mark(curve.index, *at) for at in places if at]
+            parts += [plot.mark(curve.index, *at) for at in places if at]
     return element("g", *parts)
 
 

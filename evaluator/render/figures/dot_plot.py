@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.render.figures import axis, lines
+from gpusimbench.evaluator.render.figures import plot
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title, whisker_across
 
 _WIDTH = 400.0
@@ -77,8 +77,8 @@ def dot_plot(dots: Sequence[Dot], *, value: str, tick: Callable[[float], str], b
         *strips,
         element("path", d=grid, class_="faint"),
         element("line", x1=_LEFT, x2=right, y1=bottom, y2=bottom, class_="axis"),
-        axis.bottom(_LEFT + _ZERO / 2, bottom, "0") if scale.strip else "",
-        *(axis.bottom(x, bottom, tick(v)) for v, x in ticks),
+        plot.bottom(_LEFT + _ZERO / 2, bottom, "0") if scale.strip else "",
+        *(plot.bottom(x, bottom, tick(v)) for v, x in ticks),
         text(value, (_LEFT + right) / 2, bottom + 33, class_="mid"),
         *(_row(dot, sum(band) / 2, scale) for dot, band in zip(rows, bands, strict=True)),
     )
@@ -98,7 +98,7 @@ def _linear(dots: Sequence[Dot]) -> _Scale:
     high = max(max(d.value, d.high or 0.0) for d in dots) or 1.0
     high *= 1 + _ROOM
     begin, side = _LEFT, _WIDTH - _RIGHT - _LEFT
-    ticks = axis.ticks(0.0, high, at_most=5)
+    ticks = plot.ticks(0.0, high, at_most=5)
     if all(d.value == round(d.value) and d.low is None for d in dots):
         ticks = [t for t in ticks if t == round(t)]  # of what is counted there is no half
     return _Scale(lambda v: begin + side * v / high, ticks, begin, strip=False)
@@ -119,13 +119,13 @@ def _logarithmic(dots: Sequence[Dot]) -> _Scale:
             return _LEFT + _ZERO / 2 if strip else _LEFT
         return begin + side * math.log(value / low) / math.log(high / low)
 
-    return _Scale(place, axis.log_ticks(low, high, at_most=5), begin, strip)
+    return _Scale(place, plot.log_ticks(low, high, at_most=5), begin, strip)
 
 
 def _row(dot: Dot, y: float, scale: _Scale) -> str:
     x = scale.place(dot.value)
     parts = [title(dot.said or dot.label)]
-    colour = lines.colour_class(dot.index)
+    colour = plot.colour_class(dot.index)
     if dot.low is not None and dot.high is not None:
         low, high = max(scale.place(dot.low), scale.begin if dot.value > 0 else _LEFT), scale.place(dot.high)
         parts.append(element("path", d=whisker_across(y, low, high, 4), class_=f"{colour} whisker"))
@@ -134,7 +134,7 @@ def _row(dot: Dot, y: float, scale: _Scale) -> str:
     if dot.value == 0:
         parts.append(element("circle", cx=x, cy=y, r=4.2, class_=f"{colour} nothing"))
     else:
-        parts.append(lines.mark(dot.index, x, y))
+        parts.append(plot.mark(dot.index, x, y))
     label = dot.label if len(dot.label) <= _LABEL else f"{dot.label[: _LABEL - 1]}…"
     parts.append(text(label, _LEFT, y - (_ROW - _NAME) / 2 - 2, class_="name"))
     return element("g", *parts)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.render.figures import axis, lines
+from gpusimbench.evaluator.render.figures import plot
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, open_path, text, title, whisker_up
 from gpusimbench.schemas.text import plural
 
@@ -74,8 +74,8 @@ def history_chart(
         _HEIGHT,
         said,
         *(element("line", x1=_LEFT, x2=right, y1=place_up(v), y2=place_up(v), class_="faint") for v in up_ticks),
-        axis.frame(_LEFT, _TOP, _SIDE, _FLOOR),
-        *(axis.left(_LEFT, place_up(v), tick(v)) for v in up_ticks),
+        plot.frame(_LEFT, _TOP, _SIDE, _FLOOR),
+        *(plot.left(_LEFT, place_up(v), tick(v)) for v in up_ticks),
         *(_below(across(i), bottom, label) for i, label in shown),
         text("versions or commits, in order of recording", _LEFT + _SIDE / 2, bottom + 36, class_="mid small"),
         text(value, 12, _TOP + _FLOOR / 2, class_="mid", rotate=-90),
@@ -84,7 +84,7 @@ def history_chart(
                               f"H{number(across(level.last + 0.4))}", class_="fit")
             for level in levels
         ),
-        lines.path(0, open_path((across(d.at), place_up(d.value)) for d in dots)),
+        plot.path(0, open_path((across(d.at), place_up(d.value)) for d in dots)),
         *(_dot(dot, across(dot.at), place_up) for dot in dots),
         *_marks(marks, across, bottom),
     )  # fmt: skip
@@ -100,13 +100,13 @@ def _upward(dots: Sequence[Dot], levels: Sequence[Level]) -> tuple[Callable[[flo
         low, high = low / room, high * room
         return (
             lambda v: _TOP + _FLOOR * (1 - math.log(v / low) / math.log(high / low)),
-            axis.log_ticks(low, high, at_most=5),
+            plot.log_ticks(low, high, at_most=5),
         )
     room = (high - low) * _ROOM or abs(high) * _ROOM or 1.0
     # of quantities that are never negative, the axis is not either
     least = 0.0 if low >= 0 else -math.inf
     low, high = max(low - room, least), high + room
-    return lambda v: _TOP + _FLOOR * (1 - (v - low) / (high - low)), axis.ticks(low, high, at_most=5)
+    return lambda v: _TOP + _FLOOR * (1 - (v - low) / (high - low)), plot.ticks(low, high, at_most=5)
 
 
 def _shown_names(names: Sequence[str]) -> list[tuple[int, str]]:
@@ -128,8 +128,8 @@ def _dot(dot: Dot, x: float, place_up: Callable[[float], float]) -> str:
     parts = [title(dot.said)] if dot.said else []
     if dot.low is not None and dot.high is not None:
         d = whisker_up(x, place_up(dot.low), place_up(dot.high))
-        parts.append(element("path", d=d, class_=f"{lines.colour_class(0)} whisker"))
-    return element("g", *parts, lines.mark(0, x, place_up(dot.value)))
+        parts.append(element("path", d=d, class_=f"{plot.colour_class(0)} whisker"))
+    return element("g", *parts, plot.mark(0, x, place_up(dot.value)))
 
 
 def _marks(marks: Sequence[Mark], across: Callable[[float], float], bottom: float) -> list[str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.render.figures import axis
+from gpusimbench.evaluator.render.figures import plot
 from gpusimbench.evaluator.render.figures.palette import LEVELS, level
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
 from gpusimbench.evaluator.render.numbers import distance
@@ -118,16 +118,16 @@ def matrix_map(
     cells = _titled(kinds, drawn, size, of, shown) if n <= _NAMED else _merged(kinds, size)
     bottom = _TOP + side
     # rows out of order are named one by one, as far as there is room
-    ticks = range(0, n, -(-n // _NAMED)) if grouped(len(values), classes) else axis.index_ticks(n)
+    ticks = range(0, n, -(-n // _NAMED)) if grouped(len(values), classes) else plot.index_ticks(n)
     middles = [(str(shown[i * block]), (i + 0.5) * size) for i in ticks]
     return figure(
         _LEFT + side + 106,
         bottom + 38,
         f"Matrix of distances between {of}s of {name}. {caption(matrix, of=of)}",
         *cells,
-        axis.frame(_LEFT, _TOP, side, side),
-        *(axis.left(_LEFT, _TOP + at, label) for label, at in middles),
-        *(axis.bottom(_LEFT + at, bottom, label) for label, at in middles),
+        plot.frame(_LEFT, _TOP, side, side),
+        *(plot.left(_LEFT, _TOP + at, label) for label, at in middles),
+        *(plot.bottom(_LEFT + at, bottom, label) for label, at in middles),
         text(of, _LEFT + side / 2, bottom + 32, class_="mid"),
         text(of, 11, _TOP + side / 2, class_="mid", rotate=-90),
         *(_boundaries([classes[i] for i in order], size, side) if grouped(len(values), classes) else ()),
@@ -247,7 +247,7 @@ def _bar(scale: Scale | None, side: float) -> list[str]:
             element("rect", x=x, y=_TOP + height - (i + 1) * step, width=width, height=step + 0.3, class_=f"q{i} flat")
             for i in range(LEVELS)
         ]
-        drawn += [axis.right(x + width, _TOP + (1 - share) * height, label) for share, label in _labels(scale, height)]
+        drawn += [plot.right(x + width, _TOP + (1 - share) * height, label) for share, label in _labels(scale, height)]
     swatch = _TOP + side - 12
     drawn.append(element("rect", x=x, y=swatch, width=width, height=12, class_="zero"))
     drawn.append(text("exactly 0", x + width + 7, swatch + 10, class_="small"))
@@ -257,7 +257,7 @@ def _bar(scale: Scale | None, side: float) -> list[str]:
 def _labels(scale: Scale, height: float) -> list[tuple[float, str]]:
     """Both ends of the scale, and round values between them as far as there is room."""
     ends = {1.0: f"{_rounded(scale.high)} cm"} | ({0.0: _rounded(scale.low)} if scale.low < scale.high else {})
-    ticks = axis.log_ticks(scale.low, scale.high) if scale.low < scale.high else []
+    ticks = plot.log_ticks(scale.low, scale.high) if scale.low < scale.high else []
     marks = [(scale.share(value), _rounded(value)) for value in ticks]
     between = [mark for mark in marks if all(abs(mark[0] - end) * height >= _CLOSE for end in ends)]
     return [*ends.items(), *between]

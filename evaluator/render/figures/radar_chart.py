@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from gpusimbench.evaluator.metrics.radar import Axis, Radar
-from gpusimbench.evaluator.render.figures import lines
+from gpusimbench.evaluator.render.figures import plot
 from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, open_path, text
 
 AT_MOST = 8
@@ -28,7 +28,7 @@ def radar_chart(radar: Radar) -> str:
     ]
     rings = [element("path", d=closed_path(_at(i, r) for i in range(len(axes))), class_="faint ring") for r in _RINGS]
     drawn = [_line(i, [values[axis] for axis in axes]) for i, values in enumerate(radar.values.values())]
-    legend, below = lines.legend(list(enumerate(radar.values)), 10, _HEIGHT + 4, _WIDTH - 20)
+    legend, below = plot.legend(list(enumerate(radar.values)), 10, _HEIGHT + 4, _WIDTH - 20)
     return figure(
         _WIDTH,
         _HEIGHT + below + 6,
@@ -58,11 +58,11 @@ def _line(index: int, values: list[float | None]) -> str:
     if len(whole) == len(values):
         parts = [closed_path(_at(i, v) for i, v in enumerate(whole))]
     path = (
-        element("path", d="".join(parts), class_=lines.line_class(index), stroke_dasharray=lines.dash(index))
+        element("path", d="".join(parts), class_=plot.line_class(index), stroke_dasharray=plot.dash(index))
         if parts
         else ""
     )
-    return path + "".join(lines.mark(index, *_at(i, v)) for i, v in enumerate(values) if v is not None)
+    return path + "".join(plot.mark(index, *_at(i, v)) for i, v in enumerate(values) if v is not None)
 
 
 def _label(index: int, axis: Axis, radar: Radar) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.render.figures import axis, lines
+from gpusimbench.evaluator.render.figures import plot
 from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, number, open_path, text, title
 from gpusimbench.schemas.text import plural
 
@@ -77,11 +77,11 @@ def scaling_chart(
         )
 
     bottom, right = _TOP + _FLOOR, _LEFT + _SIDE
-    columns = [(n, place(n, up[0])[0]) for n in axis.power_ticks(*across)]
-    rows = [(v, place(across[0], v)[1]) for v in axis.log_ticks(*up)]
+    columns = [(n, place(n, up[0])[0]) for n in plot.power_ticks(*across)]
+    rows = [(v, place(across[0], v)[1]) for v in plot.log_ticks(*up)]
     named = [(curve.index, f"{curve.label}{_largest(curve)}") for curve in curves if curve.points]
     few = {curve.index for curve in curves if len(curve.points) < LINE_FROM}
-    legend, below = lines.legend(named, _LEFT, _HEIGHT + 2, _SIDE, marks_alone=few)
+    legend, below = plot.legend(named, _LEFT, _HEIGHT + 2, _SIDE, marks_alone=few)
     said = f"{value} against the number of environments: {len(curves)} sweeps; the values stand in the table below"
     return figure(
         _WIDTH,
@@ -89,9 +89,9 @@ def scaling_chart(
         said,
         *(element("line", x1=x, x2=x, y1=_TOP, y2=bottom, class_="faint") for _, x in columns),
         *(element("line", x1=_LEFT, x2=right, y1=y, y2=y, class_="faint") for _, y in rows),
-        axis.frame(_LEFT, _TOP, _SIDE, _FLOOR),
-        *(axis.bottom(x, bottom, f"{n:,}") for n, x in columns),
-        *(axis.left(_LEFT, y, tick(v)) for v, y in rows),
+        plot.frame(_LEFT, _TOP, _SIDE, _FLOOR),
+        *(plot.bottom(x, bottom, f"{n:,}") for n, x in columns),
+        *(plot.left(_LEFT, y, tick(v)) for v, y in rows),
         text("environments", _LEFT + _SIDE / 2, bottom + 34, class_="mid"),
         text(value, 12, _TOP + _FLOOR / 2, class_="mid", rotate=-90),
         *(_curve(curve, place, up[1]) for curve in sorted(curves, key=lambda c: len(c.points) < LINE_FROM)),
@@ -120,12 +120,12 @@ def _curve(curve: Curve, place: Callable[[float, float], Point], top: float) -> 
             parts.append(_ideal(curve.points, place, top))
         if curve.model:
             parts.append(_model(curve.index, curve.points, curve.model, place))
-        parts.append(lines.path(curve.index, open_path(place(*p) for p in curve.points)))
-    parts += [lines.mark(curve.index, *place(*p)) for p in curve.points]
+        parts.append(plot.path(curve.index, open_path(place(*p) for p in curve.points)))
+    parts += [plot.mark(curve.index, *place(*p)) for p in curve.points]
     last = next((p for p in curve.points if p[0] == curve.n_max), None)
     if last:
         x, y = place(*last)
-        parts.append(element("circle", cx=x, cy=y, r=7.5, class_=f"{lines.colour_class(curve.index)} end-ring"))
+        parts.append(element("circle", cx=x, cy=y, r=7.5, class_=f"{plot.colour_class(curve.index)} end-ring"))
         if curve.failed:
             end = place(curve.failed, last[1])[0]
             cross = f"M{number(end - 4)} {number(y - 4)}l8 8m0 -8l-8 8"
@@ -154,7 +154,7 @@ def _model(
     low, high = math.log(points[0][0]), math.log(points[-1][0])
     sampled = [math.exp(low + (high - low) * i / _MODEL_POINTS) for i in range(_MODEL_POINTS + 1)]
     shown = [place(n, value) for n in sampled if (value := model(n)) > 0]
-    return element("path", d=open_path(shown), class_=f"{lines.colour_class(index)} model") if len(shown) > 1 else ""
+    return element("path", d=open_path(shown), class_=f"{plot.colour_class(index)} model") if len(shown) > 1 else ""
 
 
 def _foreign(foreign: Sequence[Foreign], place: Callable[[float, float], Point]) -> list[str]:

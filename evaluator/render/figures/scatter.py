@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.render.figures import axis, lines
+from gpusimbench.evaluator.render.figures import plot
 from gpusimbench.evaluator.render.figures.svg import element, figure, open_path, text, title, whisker_across, whisker_up
 
 _WIDTH, _HEIGHT = 560.0, 330.0
@@ -77,7 +77,7 @@ def scatter(
     frame = Box(_LEFT + 2, _TOP + 1, _LEFT + _SIDE - 2, _LOW - 1)
     placed = place(places, [p.label for p in points], marks=marks, whiskers=whiskers, frame=frame)
     without = [(p.index, p.label) for p, label in zip(points, placed, strict=True) if p.label and not label]
-    legend, below = lines.legend(without, _LEFT, _HEIGHT + 2, _SIDE, marks_alone={index for index, _ in without})
+    legend, below = plot.legend(without, _LEFT, _HEIGHT + 2, _SIDE, marks_alone={index for index, _ in without})
     drawn = []
     for point, at, label in zip(points, places, placed, strict=True):
         drawn.append(_mark(point, at, x_of, y_of))
@@ -94,9 +94,9 @@ def scatter(
         element("rect", x=_LEFT, y=_LOW - _ZERO, width=_SIDE, height=_ZERO, class_="ground") if strip else "",
         *(element("line", x1=at, x2=at, y1=_TOP, y2=_LOW, class_="faint") for _, at in columns),
         *(element("line", x1=_LEFT, x2=_LEFT + _SIDE, y1=at, y2=at, class_="faint") for _, at in rows),
-        axis.frame(_LEFT, _TOP, _SIDE, _LOW - _TOP),
-        *(axis.bottom(at, _LOW, across_tick(v)) for v, at in columns),
-        *(axis.left(_LEFT, at, up_tick(v)) for v, at in rows),
+        plot.frame(_LEFT, _TOP, _SIDE, _LOW - _TOP),
+        *(plot.bottom(at, _LOW, across_tick(v)) for v, at in columns),
+        *(plot.left(_LEFT, at, up_tick(v)) for v, at in rows),
         text("exactly 0", _LEFT - 7, _LOW - _ZERO / 2 + 4, class_="end") if strip else "",
         text(across, _LEFT + _SIDE / 2, _LOW + 34, class_="mid"),
         text(up, 12, (_TOP + _LOW) / 2, class_="mid", rotate=-90),
@@ -124,8 +124,8 @@ def _scales(points: Sequence[Point]) -> tuple[Scale, Scale, _Ticks, _Ticks]:
             return (floor + _LOW) / 2
         return _TOP + (floor - _TOP) * (1 - math.log(value / near) / math.log(far / near))
 
-    columns = [(v, x_of(v)) for v in axis.log_ticks(slow, fast)]
-    rows = [(v, y_of(v)) for v in axis.log_ticks(near, far)] if distances else []
+    columns = [(v, x_of(v)) for v in plot.log_ticks(slow, fast)]
+    rows = [(v, y_of(v)) for v in plot.log_ticks(near, far)] if distances else []
     return x_of, y_of, columns, rows
 
 
@@ -154,7 +154,7 @@ def _whiskers(point: Point, at: tuple[float, float], x_of: Scale, y_of: Scale) -
 def _mark(point: Point, at: tuple[float, float], x_of: Scale, y_of: Scale) -> str:
     x, y = at
     parts = [title(point.said or point.label)]
-    colour = lines.colour_class(point.index)
+    colour = plot.colour_class(point.index)
     data = ""
     if point.speed_ci:
         data += whisker_across(y, *map(x_of, point.speed_ci))
@@ -162,7 +162,7 @@ def _mark(point: Point, at: tuple[float, float], x_of: Scale, y_of: Scale) -> st
         data += whisker_up(x, *map(y_of, point.divergence_ci))
     if data:
         parts.append(element("path", d=data, class_=f"{colour} whisker"))
-    parts.append(lines.mark(point.index, x, y, hollow=point.broken))
+    parts.append(plot.mark(point.index, x, y, hollow=point.broken))
     return element("g", *parts)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from gpusimbench.evaluator.metrics.identity import Branch, SplitTree
-from gpusimbench.evaluator.render.figures import axis
+from gpusimbench.evaluator.render.figures import plot
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
 from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.text import in_ranges
@@ -43,7 +43,7 @@ def tree_chart(tree: SplitTree, *, dt: float, of: str, names: Sequence[int], lab
         return _LEFT + _SIDE * (min(max(step, begin), end) - begin) / (end - begin)
 
     drawn = [_branch(tree, at, branch, rows, x, dt, of, names) for at, branch in enumerate(tree.branches)]
-    columns = [(t, x(t / dt)) for t in axis.ticks(begin * dt, end * dt, at_most=6)]
+    columns = [(t, x(t / dt)) for t in plot.ticks(begin * dt, end * dt, at_most=6)]
     return figure(
         _WIDTH,
         bottom + 40,
@@ -51,8 +51,8 @@ def tree_chart(tree: SplitTree, *, dt: float, of: str, names: Sequence[int], lab
         *(element("line", x1=at, x2=at, y1=_TOP, y2=bottom, class_="faint") for _, at in columns),
         *drawn,
         *_counts(tree, x, floor + 6, bottom),
-        axis.frame(_LEFT, _TOP, _SIDE, bottom - _TOP),
-        *(axis.bottom(at, bottom, axis.tick_label(t)) for t, at in columns),
+        plot.frame(_LEFT, _TOP, _SIDE, bottom - _TOP),
+        *(plot.bottom(at, bottom, plot.tick_label(t)) for t, at in columns),
         text("simulated time [s]", _LEFT + _SIDE / 2, bottom + 32, class_="mid"),
     )
 
@@ -118,7 +118,7 @@ def _counts(tree: SplitTree, x: Scale, top: float, bottom: float) -> list[str]:
     return [
         element("line", x1=_LEFT, x2=_LEFT + _SIDE, y1=top - 4, y2=top - 4, class_="axis"),
         element("path", d=f"{data}H{number(_LEFT + _SIDE)}", class_="g1 branch"),
-        axis.left(_LEFT, y(1), "1"),
-        axis.left(_LEFT, y(most), str(most)),
+        plot.left(_LEFT, y(1), "1"),
+        plot.left(_LEFT, y(most), str(most)),
         text("distinct so far", _LEFT + _SIDE + 6, (top + bottom) / 2 + 4, class_="small"),
     ]

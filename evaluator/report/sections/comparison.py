@@ -28,8 +28,8 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.figures import radar_chart
-from gpusimbench.evaluator.render.figures.axis import tick_label
 from gpusimbench.evaluator.render.figures.dot_plot import Dot, dot_plot, is_logarithmic
+from gpusimbench.evaluator.render.figures.plot import tick_label
 from gpusimbench.evaluator.render.numbers import figure, interval
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.sections.rows import Reasons, absences, facets, footnotes, lines_of, to_compare

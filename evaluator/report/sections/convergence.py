@@ -6,8 +6,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Section, Table, Text, Tone
 from gpusimbench.evaluator.render.numbers import NONE, bounds
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.convergence import Convergence
-from gpusimbench.evaluator.statistics.convergence import AGREE, Order
+from gpusimbench.evaluator.results.convergence import AGREE, Convergence, Order
 from gpusimbench.schemas.text import plural
 
 NOT_ASYMPTOTIC = "not in the asymptotic range"

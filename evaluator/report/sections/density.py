@@ -16,7 +16,7 @@ from gpusimbench.evaluator.render.figures import density_map
 from gpusimbench.evaluator.render.table_files import CsvCell
 from gpusimbench.evaluator.report.sections.rows import footnotes_below, titled, with_lines, without
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map
 from gpusimbench.schemas.text import plural

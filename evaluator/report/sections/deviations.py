@@ -10,7 +10,7 @@ from gpusimbench.evaluator.render.document import Section, Table, Text, key_of, 
 from gpusimbench.evaluator.render.figures.matrix import letter
 from gpusimbench.evaluator.report.sections.rows import ordered
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.schemas.gathering import gathered
 from gpusimbench.schemas.provenance import Deviation

@@ -1,4 +1,5 @@
-"""How environments, and runs, come apart: since which step, how fast, and which left which."""
+"""How environments, and runs, come apart: since which step, how fast, and which left which; and environments in motion,
+coloured by which of them are bit-identical so far."""
 
 from __future__ import annotations
 
@@ -12,12 +13,16 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
 from gpusimbench.evaluator.metrics.identity import SplitTree
 from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.player.page import markup, script, style
 from gpusimbench.evaluator.render.document import (
     EMPTY,
     Block,
     Cell,
     Column,
+    Embed,
     Figure,
+    Item,
+    Items,
     Numbers,
     Section,
     Table,
@@ -28,7 +33,7 @@ from gpusimbench.evaluator.render.figures import divergence as chart
 from gpusimbench.evaluator.render.figures.tree import members, tree_chart, window
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_groups, with_lines
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, of_groups, with_lines, without
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
 from gpusimbench.evaluator.results.result import GroupResult, RunSpread
@@ -37,6 +42,13 @@ from gpusimbench.schemas.text import plural
 _MM = 1e3
 _UNKNOWN = "not known: "
 _BRANCHES = ("lowest", "left", "at step", "simulated time [s]", "left together", "stayed together", "that stayed")
+
+_PLAYED = (
+    "Environments of a group over simulated time, all its complete runs together. Environments whose states were "
+    "bit-identical at every step so far have one colour: colours split where bits split. One environment of each class "
+    "is shown, those that split off first; groups that part first come first. Groups that only "
+    "gsb-probe needs are left out."
+)
 
 
 @dataclass(frozen=True)
@@ -283,3 +295,17 @@ def _tree_said(tree: SplitTree, dt: float) -> str:
     if tree.not_kept:
         said += f" {tree.not_kept} branches that left later are not drawn."
     return said
+
+
+def playback(source: Source) -> Section | Missing | None:
+    """None where playback was not asked for or nothing was captured, Missing where no group can be shown."""
+    found = source.playback
+    if found is None or not (found.clips or found.not_shown):
+        return None
+    if not found.clips:
+        return without("Playback", (f"{'; '.join(one.labels)}: {one.reason}" for one in found.not_shown))
+    blocks: list[Block] = [Text(_PLAYED), Embed(markup(found.clips), Markup(style()), Markup(script()))]
+    if found.not_shown:
+        not_shown = tuple(Item(f"{'; '.join(one.labels)}: {one.reason}") for one in found.not_shown)
+        blocks.append(Section("not-played", "Not shown", (Items(not_shown),)))
+    return Section("playback", "Playback", tuple(blocks), f"{plural(len(found.clips), 'group')} to watch", folded=True)

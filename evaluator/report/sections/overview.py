@@ -38,7 +38,7 @@ from gpusimbench.evaluator.report.verdicts import (
     usual,
 )
 from gpusimbench.evaluator.results.cost_metrics import FPS, ranked_throughput
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.schemas.text import plural

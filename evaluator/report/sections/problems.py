@@ -22,7 +22,7 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.runs.groups import shown_status, status_notes
 from gpusimbench.schemas.location import Location
 from gpusimbench.schemas.provenance import OverflowBit

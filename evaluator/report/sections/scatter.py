@@ -8,12 +8,12 @@ from markupsafe import Markup
 
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.document import Figure, Numbers, key_of
-from gpusimbench.evaluator.render.figures.axis import tick_label
+from gpusimbench.evaluator.render.figures.plot import tick_label
 from gpusimbench.evaluator.render.figures.scatter import Point, scatter
 from gpusimbench.evaluator.render.numbers import figure, interval
 from gpusimbench.evaluator.report.sections.rows import absences
 from gpusimbench.evaluator.report.sections.scaling import steps_label
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult

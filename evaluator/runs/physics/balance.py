@@ -7,13 +7,18 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from gpusimbench.evaluator.metrics.physics.energy import Displacements, FrictionCone, Rises, mechanical_energy
-from gpusimbench.evaluator.metrics.physics.solids import FixedBox
-from gpusimbench.evaluator.metrics.physics.vectors import largest, square
+from gpusimbench.evaluator.metrics.physics.solids import (
+    Displacements,
+    FixedBox,
+    FrictionCone,
+    Rises,
+    largest,
+    mechanical_energy,
+    square,
+)
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, measured
-from gpusimbench.evaluator.runs.physics.setting import SHARE, Setting
-from gpusimbench.evaluator.runs.physics.states import States
+from gpusimbench.evaluator.runs.physics.states import SHARE, Setting, States
 from gpusimbench.evaluator.runs.physics.world import FixedBody
 from gpusimbench.schemas.text import plural
 

@@ -13,20 +13,20 @@ from gpusimbench.evaluator.metrics.physics.solids import (
     FixedBox,
     box_distance,
     corner_depth,
+    largest,
+    length,
     nearest,
     overlap,
     rotations,
     sphere_depth,
+    square,
 )
-from gpusimbench.evaluator.metrics.physics.vectors import largest, length, square
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import radii_of, supports_of
-from gpusimbench.evaluator.runs.outcome import OutcomeArray, outcome_of
 from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, measured
-from gpusimbench.evaluator.runs.physics.setting import Setting
-from gpusimbench.evaluator.runs.physics.states import States
-from gpusimbench.evaluator.runs.positions import in_env_frame, no_states
+from gpusimbench.evaluator.runs.physics.states import Setting, States
+from gpusimbench.evaluator.runs.positions import OutcomeArray, in_env_frame, no_states, outcome_of
 
 Array = npt.NDArray[np.float64]
 

@@ -29,7 +29,7 @@ from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.sections.variability import types_of
 from gpusimbench.evaluator.report.verdicts import QUESTIONS
 from gpusimbench.evaluator.results.cost_metrics import FPS
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.group_metrics import REGIME
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import shown_status

@@ -13,8 +13,7 @@ from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.rules.findings import Report, check
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Scope, Severity, load_rules
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable
-from gpusimbench.evaluator.results.evaluate import evaluate
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import DamagedRecording, GsbError

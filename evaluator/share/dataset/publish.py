@@ -13,7 +13,7 @@ from pathlib import Path
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.parquet import METRICS, RUNS, parquet_tables, polars
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.share.dataset.card import CARD, KEYWORDS, card
 from gpusimbench.evaluator.share.dataset.citation import CITATION, OWN, Publication, citation
 from gpusimbench.evaluator.share.dataset.contents import (

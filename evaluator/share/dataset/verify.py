@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gpusimbench.evaluator.json_values import document_of, dump, picked
 from gpusimbench.evaluator.report.parquet import METRICS, RUNS, frames, polars
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.share.dataset.card import CARD
 from gpusimbench.evaluator.share.dataset.citation import CITATION
 from gpusimbench.evaluator.share.dataset.contents import (

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.inputs.reader import Reader, Unreadable, read_all
-from gpusimbench.evaluator.read.addresses import expand
-from gpusimbench.evaluator.read.stamp import stamp_of
+from gpusimbench.evaluator.read.addresses import expand, stamp_of
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.runs.run import Run

@@ -10,7 +10,7 @@ from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.cost_metrics import common_memory, ranked_throughput, shown_slower
 from gpusimbench.evaluator.results.details import SunkCubes
-from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.faults import faults, faults_anywhere
 from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.metric import Estimate

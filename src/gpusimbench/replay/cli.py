@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
-from gpusimbench.evaluator.cli.entry import answer, entry_point, new_parser, say
+from gpusimbench.evaluator.cli.command import add_json, answer, check_target, entry_point, local_path, new_parser, say
 from gpusimbench.schemas.commands.parser import Parser
 from gpusimbench.schemas.commands.progress import stage
 from gpusimbench.schemas.errors import ExitCode, NotARecording, UsageError
@@ -127,7 +126,7 @@ def parser() -> Parser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay, compare and print; returns the exit code."""
-    from gpusimbench.evaluator.episodes.success import At
+    from gpusimbench.evaluator.read.episodes import At
     from gpusimbench.evaluator.replays.comparison import compare, successes_of
     from gpusimbench.evaluator.replays.document import dump_json, replay_document
     from gpusimbench.evaluator.runs.validation import verified

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.metrics.physics.closed_form import falling_time
-from gpusimbench.evaluator.metrics.physics.falling import bounce
+from gpusimbench.evaluator.metrics.physics.gravity import bounce
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.canonical.motion import shaped, unevenness

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gpusimbench.evaluator.metrics.physics.four_bar import FourBar, wrapped
+from gpusimbench.evaluator.metrics.physics.closed_form import FourBar, wrapped
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.canonical.motion import cycles, fewest_periods, joints_of

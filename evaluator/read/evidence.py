@@ -1,7 +1,9 @@
-"""What shows that the steps of a run did their work: counts, buffers that were run into, actions that were applied."""
+"""Evidence of a run: counts, buffers that were run into and actions that were applied show that its steps did their
+work; clock rates, power, temperature and load show how fast the hardware could run."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +20,18 @@ from gpusimbench.schemas.provenance import OverflowBit
 _MAX_VALUE = float(1 << 53)  # up to here every whole number is a double
 _ROUNDING = 1e-9  # of a mean against the largest of what it is a mean of
 _SHA256 = re.compile(r"[0-9a-f]{64}|")
+
+_WHOLE = (
+    "sm_clock_mhz", "memory_clock_mhz", "power_mw", "temperature_c", "throttle_reasons", "utilisation_percent",
+    "other_processes",
+)  # fmt: skip
+"""Whole numbers of a GPU's reading, by field of a HardwareSample."""
+
+_REAL = ("cpu_clock_mhz", "other_cpus")
+"""The same of the host's, as floating-point numbers."""
+
+_MOST_REAL = 1e9
+_PERCENT = 100
 
 
 @dataclass(frozen=True)
@@ -157,3 +171,56 @@ def _steps(messages: Messages, topic: str, parts: Sequence[tuple[Any, int]]) -> 
     if (np.diff(steps) <= 0).any():
         raise messages.damaged(f"the steps of {topic} are not in order")
     return steps
+
+
+@dataclass(frozen=True)
+class HardwareTrace:
+    """Readings of the host or of a GPU, in order of time.
+
+    time_ns    host's monotonic clock, shape [sample]
+    phase      of the run, one per sample
+    values     by field of a HardwareSample, one per sample, None where it was not told; a field that no sample tells is
+               left out
+    not_known  what readings lack and why, each once
+    """
+
+    time_ns: NDArray[np.int64]
+    phase: tuple[str, ...]
+    values: dict[str, tuple[float | None, ...]]
+    not_known: tuple[str, ...]
+
+    def of(self, name: str, phase: str) -> list[float]:
+        """The values of a field that readings of a phase tell."""
+        found = zip(self.phase, self.values.get(name, ()), strict=False)
+        return [value for there, value in found if there == phase and value is not None]
+
+    def longest_gap_s(self, start_ns: int, end_ns: int) -> float:
+        """The longest time between two clocks without a reading [s]."""
+        inside = self.time_ns[(self.time_ns >= start_ns) & (self.time_ns <= end_ns)]
+        return float(np.diff(np.concatenate([[start_ns], inside, [end_ns]])).max()) * 1e-9
+
+
+def read_hardware(messages: Messages) -> dict[str, HardwareTrace]:
+    """Readings by where they are of: "host", "gpu0", "gpu1", ..."""
+    found = {}
+    for topic in messages.topics("/hardware/"):
+        times, phases, reasons = list[int](), list[str](), dict[str, None]()
+        columns: dict[str, list[float | None]] = {name: [] for name in (*_WHOLE, *_REAL)}
+        for sample in messages.each(topic, "gsb.v1.HardwareSample"):
+            if sample.utilisation_percent > _PERCENT or not all(_plausible(getattr(sample, name)) for name in _REAL):
+                raise messages.damaged(f"{topic} has a reading that no hardware can have")
+            times.append(sample.monotonic_ns)
+            phases.append(sample.phase)
+            reasons.update(dict.fromkeys(sample.not_known))
+            for name, column in columns.items():
+                column.append(getattr(sample, name) if sample.HasField(name) else None)
+        if times:
+            told = {name: tuple(column) for name, column in columns.items() if any(v is not None for v in column)}
+            found[topic.removeprefix("/hardware/")] = HardwareTrace(
+                np.array(times, dtype=np.int64), tuple(phases), told, tuple(reasons)
+            )
+    return found
+
+
+def _plausible(value: float) -> bool:
+    return math.isfinite(value) and 0 <= value < _MOST_REAL
