@@ -32,7 +32,7 @@ SIZES = (1, 4, 64, 4096)
 OUTCOMES = 1024
 """Of what a run draws, times the size: with two outcomes, half of all pairs of runs would be equal by chance."""
 
-SOUND = {"regime": "by-position"}
+SOUND = {"regime": "exact"}
 """Options with which nothing depends on what should not matter."""
 
 FOUND_BY = {

@@ -22,8 +22,8 @@ from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.treatment import KINDS, Intervention, Vary
 
-CONFIRMED = 2
-"""Further runs of arms that differ."""
+CONFIRMED = 3
+"""Runs of an arm that differs, in all."""
 
 MANY = 8
 """States of so many times more environments are not worth their room: hashes tell what differs, and since when."""
@@ -142,11 +142,13 @@ class Plan:
     def missing(self, recorded: Iterable[RunConfiguration], again: Iterable[Arm] = ()) -> list[Arm]:
         """Arms that are not among the runs of a folder that have ended.
 
-        again  arms that differ from others: CONFIRMED more runs of each tell that from differences between runs
+        again  arms that differ from others: CONFIRMED runs of each tell that from differences between runs
         """
         there = Counter(arm_of(c) for c in recorded if self.has(c))
+        planned = Counter(self.arms())
+        more = (arm for turn in range(CONFIRMED) for arm in again if planned[arm] <= turn)
         left = []
-        for arm in (*self.arms(), *(arm for _ in range(CONFIRMED) for arm in again)):
+        for arm in (*self.arms(), *more):
             there[arm] -= 1
             if there[arm] < 0:
                 left.append(arm)

@@ -496,7 +496,7 @@ def test_a_plan_goes_on_where_it_stopped() -> None:
     assert PLAN.missing([]) == list(PLAN.arms())
     assert PLAN.missing(done) == []
     assert PLAN.missing(done[:1]) == [*PLAN.arms()][1:]
-    assert PLAN.missing(done, again=[ARMS[6]]) == [ARMS[6]] * 2
+    assert PLAN.missing(done, again=[ARMS[6], ARMS[1]]) == [ARMS[6], ARMS[6], ARMS[1]]  # three runs of each
     foreign = RunConfiguration("synthetic", "free-fall", 4, 0.01, PLAN.steps, initial=ARMS[1].initial)
     assert len(PLAN.missing([foreign])) == len(list(PLAN.arms()))
 

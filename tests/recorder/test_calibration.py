@@ -25,7 +25,7 @@ from gpusimbench.recorder.simulators.calibration.simulator import Calibration
 from gpusimbench.recorder.simulators.flight import NEVER, FailureKind, Watch, step_and_kind
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.initial import Initial
-from gpusimbench.schemas.relabel import Relabelling
+from gpusimbench.schemas.symmetry import symmetry_of
 
 Json = dict[str, Any]
 
@@ -173,40 +173,28 @@ def test_what_a_reset_moves(fault: str, moved: list[int]) -> None:
 
 
 @pytest.mark.parametrize("scene", ["inclined-collision", "free-fall"])
-def test_numbers_of_bodies(scene: str) -> None:
-    """Step identical bodies that exchanged their states to the exchanged states, if forces are added up by position,
-    and to others if they are added up by number; or if a fault tells bodies apart by number."""
-    apart = {}
-    faulty = {"regime": "by-position", "fault": "relabelled", "ulps": 1, "at": 3}
-    for options in ({"regime": "identical"}, {"regime": "by-position"}, faulty):
+@pytest.mark.parametrize(
+    ("symmetry", "differs"),
+    [("relabel:reverse", (True, False, True)), ("mirror:y", (False, False, False))],
+)
+def test_symmetries(scene: str, symmetry: str, differs: tuple[bool, ...]) -> None:
+    """Step exchanged states of identical bodies to the exchanged states, if sums of forces are exact, and to others if
+    they are rounded in the order of the bodies' numbers, or if a fault tells bodies apart by number; mirror images are
+    stepped to mirror images by all of these."""
+    found = []
+    faulty = {"regime": "exact", "fault": "relabelled", "ulps": 1, "at": 3}
+    for options in ({"regime": "identical"}, {"regime": "exact"}, faulty):
         simulator, description = build(scene=scene, **options)
         begun = drawn_states(Initial(0.3), simulator.scene, description.fields, simulator.state(), 0)
-        relabelling = Relabelling.of(json.loads(simulator.scene.to_json()))
+        changed = symmetry_of(Initial.parse(f"random:0.3,{symmetry}"), json.loads(simulator.scene.to_json()))
+        assert changed is not None
         ended = []
-        for states in (begun, images(begun, relabelling, description.fields, ())):
+        for states in (begun, images(begun, changed, description.fields, ())):
             simulator.reset()
             simulator.set_state(states)
             simulator.step(60)
             ended.append(simulator.state())
         simulator.close()
-        usual, image = ended[0], images(ended[1], relabelling, description.fields, ())
-        apart[tuple(options.values())] = any(not np.array_equal(a, b) for a, b in zip(usual, image, strict=True))
-    assert list(apart.values()) == [True, False, True]
-
-
-def test_the_order_of_positions() -> None:
-    """Sort the bodies of each environment along x, then y, then z, whatever order they were in; numbers break no tie of
-    positions that differ."""
-    from gpusimbench.recorder.simulators.calibration import kernels
-    from gpusimbench.recorder.simulators.calibration.world import _numbers, _vectors
-
-    simulator, _ = build(n_env=1)
-    rng = np.random.default_rng(0)
-    places = rng.integers(0, 3, (4, 20, 3)).astype(np.float32)
-    places[..., 2] += np.arange(20, dtype=np.float32) / 32  # no two at one place
-    order = _numbers(rng.permuted(np.tile(np.arange(20, dtype=np.int32), (4, 1)), axis=1))
-    kernels.line_up(_vectors(places), order)
-    found = order.to_numpy()
-    simulator.close()
-    for env in range(4):
-        assert found[env].tolist() == np.lexsort(places[env].T[::-1]).tolist()
+        pairs = zip(ended[0], images(ended[1], changed, description.fields, ()), strict=True)
+        found.append(any(not np.array_equal(usual, image) for usual, image in pairs))
+    assert tuple(found) == differs

@@ -78,10 +78,11 @@ def advance(
 
 @ti.kernel
 def step(
-    substeps: ti.i32, dt: ti.f32, gravity: tm.vec3, contacts: ti.i32, x: Vectors, v: Vectors, spin: Vectors,
-    force: Vectors, traits: Traits, faces: Faces, order: Integers, places: Places, touching: Counts,
+    substeps: ti.i32, dt: ti.f32, gravity: tm.vec3, contacts: ti.i32, grain: ti.f32, x: Vectors, v: Vectors,
+    spin: Vectors, force: Vectors, traits: Traits, faces: Faces, order: Integers, places: Places, touching: Counts,
 ):  # fmt: skip
-    """One step of `substeps` parts, an environment a thread; forces are added up in the environment's order."""
+    """One step of `substeps` parts, an environment a thread; forces are added up in the environment's order. Whole
+    multiples of a power of two, `grain` [N], have the same sum in every order; 0: forces as they are."""
     for env in range(x.shape[0]):
         for _ in range(substeps):
             count = 0
@@ -92,6 +93,8 @@ def step(
                     for q in range(p):
                         a, b = order[env, p], order[env, q]
                         f = between(x[env, a], x[env, b], v[env, a], v[env, b], traits[a], traits[b])
+                        if grain > 0.0:
+                            f = ti.round(f / grain) * grain
                         if f.x != 0.0 or f.y != 0.0 or f.z != 0.0:
                             force[env, a] = force[env, a] + f
                             force[env, b] = force[env, b] - f
@@ -99,28 +102,6 @@ def step(
             for body in range(x.shape[1]):
                 count += advance(env, body, dt, gravity, force[env, body], places[env], x, v, spin, traits, faces)
             touching[env] = count
-
-
-@ti.func
-def before(a: tm.vec3, b: tm.vec3) -> ti.i32:
-    """Whether a comes before b along x; along y where they are level, and then along z."""
-    return a.x < b.x or (a.x == b.x and (a.y < b.y or (a.y == b.y and a.z < b.z)))
-
-
-@ti.kernel
-def line_up(x: Vectors, order: Integers):
-    """Sort the bodies of each environment by where they are, by insertion: they move little in a step."""
-    for env in range(x.shape[0]):
-        for p in range(1, x.shape[1]):
-            body = order[env, p]
-            at = p
-            while at > 0:
-                other = order[env, at - 1]
-                if not before(x[env, body], x[env, other]):
-                    break
-                order[env, at] = other
-                at = at - 1
-            order[env, at] = body
 
 
 @ti.kernel

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from gpusimbench.recorder.options import require
 
-REGIMES = ("identical", "by-position", "offset", "order", "run-order", "atomics")
+REGIMES = ("identical", "exact", "offset", "order", "run-order", "atomics")
 
 BY_ENV = ("offset", "order")
 """Regimes in which the environments of a run differ."""
@@ -16,7 +16,7 @@ BY_ENV = ("offset", "order")
 BY_RUN = ("order", "run-order")
 """Regimes in which runs differ, by a number that each draws."""
 
-BY_NONE = ("identical", "by-position")
+BY_NONE = ("identical", "exact")
 """Regimes in which neither differ."""
 
 DIGITS = 16
@@ -50,7 +50,7 @@ class CalibrationOptions:
     """Options of the calibration simulator.
 
     regime    identical: nothing differs (Type 2), and forces are added up in the order of the bodies' numbers;
-              by-position: the same in the order of their positions, so that numbers of bodies do not matter either;
+              exact: the same, but forces are whole multiples of 2^-14 N, whose sum is the same in every order;
               offset: environments differ, alike in every run (Type 1); order: environments and runs differ (Type 3);
               run-order: runs differ (Type 4); atomics: whatever racing atomic additions make of it
     contacts  whether the moving bodies touch each other; that amplifies every difference
@@ -60,7 +60,7 @@ class CalibrationOptions:
     env       the one environment that differs from the others; -1: all differ from each other
     entropy   what a run that differs from others draws: run (anew in each process), build (anew in each build), or
               hexadecimal digits after the point of a number from 0 to 1
-    fault     planted for gsb-probe, in regime identical or by-position, of the size `ulps`: none, number, slot,
+    fault     planted for gsb-probe, in regime identical or exact, of the size `ulps`: none, number, slot,
               neighbours, poison, bystanders, fresh, restored, process, mirrored, relabelled, set or capture (FAULTS in
               its options.py says what each does)
     device    auto, cpu or cuda (the first GPU that CUDA shows)
