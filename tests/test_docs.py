@@ -188,11 +188,12 @@ def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=str)
 def test_intervals_hold_their_values(document: Path) -> None:
-    """Find no value outside of its interval as printed, and no share whose limits are not Clopper's and Pearson's."""
+    """Find no value outside of its interval, no deviation of 0, and shares within Clopper's and Pearson's limits."""
     page = document.read_text(encoding="utf-8")
     for value, low, high in re.findall(r"(?<!± )(?<![\d.,])(-?\d[\d.,]*) \[(-?[\d.,]+) to (-?[\d.,]+)\]", page):
         numbers = [float(number.replace(",", "")) for number in (low, value, high)]
         assert numbers == sorted(numbers), f"{value} [{low} to {high}]"
+    assert not re.search(r"± 0(\.0+)?(?![\d.e])", page), "a deviation that is not zero is never printed as zero"
     number = r"([\d.]+)%"
     for k, n, *shown in re.findall(rf"(\d+) of (\d+): {number} \[{number} to {number}\]", page):
         exact = binomtest(int(k), int(n)).proportion_ci(0.95)
