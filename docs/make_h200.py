@@ -22,7 +22,7 @@ from gpusimbench.evaluator.read.known_errors import PREFIX, known_errors
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Cell
 from gpusimbench.evaluator.render.markdown import table_markdown
-from gpusimbench.evaluator.render.numbers import distance, figure
+from gpusimbench.evaluator.render.numbers import distance, figure, mean_sd
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.sections.determinism_cost import of_family, ratio
@@ -239,10 +239,11 @@ def points(evaluation: Evaluation) -> str:
             fps = point.result.metrics["fps"]
             if (mean := known(fps.value)) is None:
                 continue
-            sd = fps.sd or 0.0
+            share = 100 * (fps.sd or 0.0) / mean
             rows.append((
-                sweep.key.scene, sweep.label, f"{point.n_env:,}", str(fps.n), f"{mean:,.0f} ± {sd:,.0f}",
-                f"{100 * sd / mean:.1f} %", timed.steps(point.result.timed), timed.seconds(point.result.timed),
+                sweep.key.scene, sweep.label, f"{point.n_env:,}", str(fps.n), mean_sd(fps),
+                f"{share:.1f} %" if share >= 0.05 else f"{share:.1g} %",
+                timed.steps(point.result.timed), timed.seconds(point.result.timed),
             ))  # fmt: skip
     return "\n".join(_rows(titles, rows))
 

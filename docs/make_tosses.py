@@ -18,7 +18,7 @@ from typing import Any
 from page_blocks import redraw
 
 from gpusimbench.evaluator.missing import known
-from gpusimbench.evaluator.render.numbers import figure, interval
+from gpusimbench.evaluator.render.numbers import bounds, figure, interval
 from gpusimbench.evaluator.report.leaders import speaks_against_pair
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
@@ -124,7 +124,10 @@ def local_table(evaluation: Evaluation) -> str:
         for rows, metric in columns:
             estimate = by_rows[rows].metrics[metric.name] if rows in by_rows else None
             value = None if estimate is None else known(estimate.value)
-            shown.append("-" if estimate is None or value is None else f"{value:.3g} {interval(estimate)}")
+            ends = None if estimate is None else estimate.ci95
+            # three digits of either: in fewer, an end would be rounded to the other side of the value
+            cell = f"{value:.3g}" if value is not None else "-"
+            shown.append(f"{cell} {bounds(ends, '{:.3g}'.format)}" if value is not None and ends else cell)
         hashes = (by_rows[rows].group.recordings[0].content_hash[:_HASH] for rows in every if rows in by_rows)
         return [*shown, " ".join(f"`{one}`" for one in hashes)]
 
@@ -172,7 +175,7 @@ def fits(files: list[Path]) -> str:
 def _change(one: dict[str, Any]) -> str:
     change = one["change"]
     low, high = change["ci95"]
-    return f"{change['mean']:.3f} [{low:.3f}, {high:.3f}], p = {change['p_value']:.2g}"
+    return f"{change['mean']:.3f} {bounds((low, high), '{:.3f}'.format)}, p = {change['p_value']:.2g}"
 
 
 def _drawn(titles: list[str], rows: list[list[str]], below: str) -> str:
@@ -203,7 +206,7 @@ def _row(one: Ranked) -> list[str]:
     else:
         low, high = one.against.ci95
         p = "p < 0.001" if one.adjusted < 0.001 else f"p = {one.adjusted:.2g}"
-        cells.append(f"{one.against.mean:.2f} [{low:.2f}, {high:.2f}], {p}")
+        cells.append(f"{one.against.mean:.2f} {bounds((low, high), '{:.2f}'.format)}, {p}")
     return [*cells, f"`{recording.content_hash[:_HASH]}`"]
 
 

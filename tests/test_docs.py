@@ -13,6 +13,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from scipy.stats import binomtest
 
 from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import call, command, distribution, finished, run_python, searched
@@ -183,6 +184,21 @@ def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
     for line in commands(guide):
         shell(line, tmp_path, environment)
     assert "ballistic" in shell("gsb-record --list", tmp_path, environment).stdout
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=str)
+def test_intervals_hold_their_values(document: Path) -> None:
+    """Find no value outside of its interval, no deviation of 0, and shares within Clopper's and Pearson's limits."""
+    page = document.read_text(encoding="utf-8")
+    for value, low, high in re.findall(r"(?<!± )(?<![\d.,])(-?\d[\d.,]*) \[(-?[\d.,]+) to (-?[\d.,]+)\]", page):
+        numbers = [float(number.replace(",", "")) for number in (low, value, high)]
+        assert numbers == sorted(numbers), f"{value} [{low} to {high}]"
+    assert not re.search(r"± 0(\.0+)?(?![\d.e])", page), "a deviation that is not zero is never printed as zero"
+    number = r"([\d.]+)%"
+    for k, n, *shown in re.findall(rf"(\d+) of (\d+): {number} \[{number} to {number}\]", page):
+        exact = binomtest(int(k), int(n)).proportion_ci(0.95)
+        shares = [f"{100 * share:.1f}" for share in (int(k) / int(n), exact.low, exact.high)]
+        assert shown == shares, f"{k} of {n}"
 
 
 @pytest.mark.parametrize("document", [p for p in DOCUMENTS if "<!-- end of " in p.read_text(encoding="utf-8")], ids=str)

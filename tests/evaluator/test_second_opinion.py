@@ -15,12 +15,14 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 from scipy.stats import t as student
 
-from tests.conftest import Command
+from tests.conftest import Command, recorded
 
 Array = NDArray[np.float64]
 _RECORDINGS = Path(__file__).resolve().parents[2] / "recordings"
@@ -244,7 +246,119 @@ def test_memory_model_and_price(gsb_eval: Command) -> None:
     files = _files("sweeps-h100/physx-free-fall-*.mcap")
     assert sweep["n_env_max"] == max(f.n_env for f in files if f.messages["/run/end"][0].status == 1)
     fps = {g["label"]: g["metrics"]["fps"]["value"] for g in document["groups"]}
+    per_run = {g["label"]: g["metrics"]["fps"]["extra"]["per_run"] for g in document["groups"] if fps[g["label"]]}
     (price,) = document["price_list"]
     for level in price["levels"]:
-        ratio = fps[level["group"]] / fps[price["default"]["group"]]
-        assert level["throughput_of_default"]["ratio"] == pytest.approx(ratio, rel=1e-12)
+        found, sides = level["throughput_of_default"], (level["group"], price["default"]["group"])
+        assert found["ratio"] == pytest.approx(fps[sides[0]] / fps[sides[1]], rel=1e-12)
+        variances, freedoms = np.transpose([_variance_of_log(per_run[side]) for side in sides])
+        freedom = variances.sum() ** 2 / (variances**2 / freedoms).sum()  # Welch and Satterthwaite
+        half = student.ppf(0.975, freedom) * np.sqrt(variances.sum())
+        assert found["ci95"] == pytest.approx(list(found["ratio"] * np.exp([-half, half])), rel=1e-9)
+
+
+def _variance_of_log(values: list[float]) -> tuple[float, int]:
+    """The delete-one jackknife's variance of the logarithm of a mean, and its degrees of freedom."""
+    n = len(values)
+    left = np.log([np.delete(values, r).mean() for r in range(n)])
+    return (n - 1) / n * float(((left - left.mean()) ** 2).sum()), n - 1
+
+
+@pytest.mark.parametrize("simulator", ["physx-inclined", "newton-xpbd-run-to-run", "isaaclab-ovphysx"])
+def test_probe(gsb_probe: Command, simulator: str) -> None:
+    """Pairs, differing pairs and the first step of each question, from the hashes of states."""
+    files = _files(f"probe-h100/{simulator}*.mcap")
+    paths = sorted(_RECORDINGS.glob(f"probe-h100/{simulator}*.mcap"))
+    (probe,) = json.loads(gsb_probe(*paths, "--json", "-", code=0).stdout)["probes"]
+    arms: dict[tuple[int, str], list[NDArray[np.uint64]]] = defaultdict(list)
+    for f in files:
+        begun, treated = f.asked.get("initial", ""), f.asked.get("intervention", "")
+        arms[f.n_env, f"{begun} {treated}".strip()].append(f.hashes())
+    alike, (drawn, *_) = arms[16, ""][0], arms[16, "random:0.1"]
+    reset = arms[16, "random:0.1 reset@100"][0]
+    others = [h for (n, begun), (h, *_) in arms.items() if n != 16 and begun == "random:0.1"]
+    sides = {
+        "envs": [(alike[:, 1:], alike[:, :1].repeat(15, axis=1))],
+        "number": [(h[:, :16], drawn[:, : h.shape[1]]) for h in others],
+        "slot": [(np.roll(arms[16, "random:0.1,shift:5"][0], 5, axis=1), drawn)],
+        "neighbours": [(arms[16, "random:0.1,but:0"][0][:, :1], drawn[:, :1])],
+        "poison": [(np.delete(h, 1, axis=1), np.delete(drawn, 1, axis=1)) for h in arms[16, "random:0.1 poison@100"]],
+        "bystanders": [(reset[:, 1::2], drawn[:, 1::2])],
+        "fresh": [(reset[101:, ::2], alike[1:201, ::2])],
+        "restored": [(arms[16, "random:0.1 excursion@100+30"][0], drawn)],
+        "set": [(arms[16, "random:0.1 set@100"][0], drawn)],
+    }
+    asked = {answer["key"]: answer["found"] for answer in probe["answers"] if answer["found"]}
+    assert len(asked) > 5
+    for key in asked.keys() & sides.keys():
+        differ = [a != b for a, b in sides[key]]
+        first = [int(d.any(axis=1).argmax()) for d in differ if d.any()]
+        expected = sum(d.shape[1] for d in differ), sum(int(d.any(axis=0).sum()) for d in differ)
+        assert (asked[key]["pairs"], asked[key]["differing"]) == expected, key
+        step = min(first) + (101 if key == "fresh" else 0) if first else None
+        assert asked[key]["first_step"] == step, key
+
+
+def _laws(gsb_eval: Command, *asked: object) -> tuple[_File, dict[str, Any]]:
+    (path,) = recorded("--sim", "mujoco", "--n-env", 8, "--runs", 1, "--phases", "capture", *asked)
+    laws = json.loads(gsb_eval(path, "--json", "-", "--no-cache", code=0).stdout)["groups"][0]["laws"]
+    return _File(path), {law["key"]: law for law in laws}
+
+
+def test_double_pendulum(gsb_eval: Command) -> None:
+    """Energies, and periods and tolerances of the normal modes, from Lagrange's equations and joint angles."""
+    run, laws = _laws(gsb_eval, "--scene", "double-pendulum", "--initial", "random:0.8")
+    (_, link, *_) = run.scene["robot"]["links"]  # all rods are alike
+    mass, about, way, apart = link["inertial"]["mass"], link["inertial"]["inertia"][0], 0.25, 0.5
+    inertia = np.array([[about + mass * (way**2 + apart**2), mass * apart * way], [0.0, about + mass * way**2]])
+    inertia[1, 0] = inertia[0, 1]
+    stiffness = np.diag([mass * _GRAVITY * (way + apart), mass * _GRAVITY * way])
+    squares, modes = eigh(stiffness, inertia)
+    slow, fast = 2 * np.pi / np.sqrt(squares)
+    angle, speed = ([run.of("robot", f)[..., k, 0] for k in range(4)] for f in ("qpos", "qvel"))
+    rows = int(np.ceil(slow / run.dt))
+    for name, k in (("large", 0), ("small", 2)):
+        a, b, da, db = angle[k], angle[k] + angle[k + 1], speed[k], speed[k] + speed[k + 1]
+        kinetic = (inertia[0, 0] * da**2 + inertia[1, 1] * db**2) / 2 + inertia[0, 1] * np.cos(a - b) * da * db
+        energy = kinetic + stiffness[0, 0] * (1 - np.cos(a)) + stiffness[1, 1] * (1 - np.cos(b))
+        gained = energy[-rows:].mean(axis=0) / energy[:rows].mean(axis=0) - 1
+        assert laws[f"{name}_energy"]["measured"] == pytest.approx(gained.mean(), rel=1e-6)
+        tolerance = run.dt / slow + (2 * np.pi / fast * run.dt) ** 2
+        assert laws[f"{name}_energy"]["tolerance"] == pytest.approx(tolerance, rel=1e-9)
+    for mode, (name, period) in enumerate((("slow", slow), ("fast", fast))):
+        along = np.tensordot(inertia @ modes[:, mode], np.stack([a, b]), axes=1)  # of the small swing
+        up = [np.nonzero((x[:-1] < 0) & (x[1:] >= 0))[0] for x in along.T]
+        times = [(i + x[i] / (x[i] - x[i + 1])) * run.dt for i, x in zip(up, along.T, strict=True)]
+        found = np.mean([(t[-1] - t[0]) / (len(t) - 1) for t in times])
+        law = laws[f"{name}_period"]
+        assert (law["measured"], law["predicted"]) == (pytest.approx(found, rel=1e-4), pytest.approx(period, rel=1e-9))
+        largest = max(np.abs(a).max(), np.abs(b).max())
+        tolerance = run.dt / min(len(t) - 1 for t in times) + period * largest**2
+        assert law["tolerance"] == pytest.approx(tolerance, rel=1e-6)
+
+
+def test_ball(gsb_eval: Command) -> None:
+    """Contact, restitution and smallest change that two recordings show, from parabolas and Student's t."""
+    run, laws = _laws(gsb_eval, "--scene", "ball-drop", "--initial", "random:0.5")
+    height, speed = run.of("balls", "position")[:, :, 2, 2] - 0.05, run.of("balls", "linear_velocity")[:, :, 2, 2]
+    at, away = [], []
+    for h, v in zip(height.T, speed.T, strict=True):
+        free = np.abs(np.diff(v) + _GRAVITY * run.dt) < 0.01 * _GRAVITY * run.dt
+        last = int((~free).argmax())
+        met = np.sqrt(v[last] ** 2 + 2 * _GRAVITY * h[last])
+        at.append(last * run.dt + (v[last] + met) / _GRAVITY)
+        flying = [i for i in np.nonzero(free)[0] if i > last and v[i] > 0 and h[i] >= 0 and i * run.dt - at[-1] < 0.3]
+        away.append(np.sqrt(v[flying[0]] ** 2 + 2 * _GRAVITY * h[flying[0]]) / met if flying else 0.0)
+    impact = np.sqrt(speed[0] ** 2 + 2 * _GRAVITY * height[0])
+    time, n = (speed[0] + impact) / _GRAVITY, run.n_env
+    law = laws["high_contact"]
+    assert (law["measured"], law["predicted"]) == pytest.approx((np.mean(at), time.mean()), rel=1e-12)
+    assert laws["high_restitution"]["measured"] == pytest.approx(np.mean(away), rel=1e-9, abs=1e-12)
+    assert laws["high_gain"]["tolerance"] == pytest.approx(2 * _GRAVITY * run.dt / impact.min(), rel=1e-12)
+    effect = height[0] / impact - time  # of a share of 1 of g
+    k = max(0.1, *(x.std(ddof=1) / abs(x.mean()) for x in (effect, time)))
+    s = law["sd"] / np.sqrt(n) * np.sqrt((n - 1) / chi2.ppf(0.05, n - 1))
+    scale = (student.ppf(0.975, 2 * n - 2) + student.ppf(0.95, 2 * n - 2)) ** 2 * np.pi / 3
+    least = np.sqrt(scale * 2 * s**2 / (1 - scale * k**2 / n)) / abs(effect.mean())
+    (gravity,) = (x for x in law["sensitivities"] if x["parameter"] == "gravity")
+    assert gravity["least"] == pytest.approx(least, rel=1e-9)
