@@ -159,17 +159,16 @@ def test_mujoco_warp(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_mjx(tmp_path: Path) -> None:
-    """Make the states of a robot again by mjx.step, compiled step by step."""
+    """Make the states of a pendulum again by mjx.step, compiled step by step."""
     jax, mjx = needed("jax"), needed("mujoco.mjx")
-    told = _told(tmp_path, "--sim", "mjx", "--impl", "jax", "--scene", "franka", "--option", "device=cpu")
-    assert told.actions is not None
+    told = _told(tmp_path, "--sim", "mjx", "--impl", "jax", "--scene", "pendulum", "--option", "device=cpu")
     model = mujoco.MjModel.from_xml_string(told.files["scene.xml"].decode())
     put, first = mjx.put_model(model), mjx.make_data(model)
     rows = [told.states["robot/qpos"][0, ..., 0]], [told.states["robot/qvel"][0, ..., 0]]
     data = jax.vmap(lambda qpos, qvel: first.replace(qpos=qpos, qvel=qvel))(rows[0][0], rows[1][0])
-    step = jax.jit(lambda data, ctrl: jax.vmap(lambda one: mjx.step(put, one))(data.replace(ctrl=ctrl)))
-    for actions in told.actions:
-        data = step(data, actions)
+    step = jax.jit(lambda data: jax.vmap(lambda one: mjx.step(put, one))(data))
+    for _ in range(_STEPS):
+        data = step(data)
         rows[0].append(np.array(data.qpos))
         rows[1].append(np.array(data.qvel))
     _joint_states_equal(told, *rows)
