@@ -46,6 +46,16 @@ def test_equals_a_plain_loop() -> None:
     assert positions.tobytes() == np.ascontiguousarray(data.qpos.numpy().reshape(2, 2, 7)[..., :3]).tobytes()
 
 
+@pytest.mark.parametrize("asked", [1e-8, 1e-4])
+def test_the_tolerance_that_is_in_force(asked: float) -> None:
+    """Say where MuJoCo Warp takes another tolerance than the model has, and only there."""
+    simulator, description = build(PAIR, tolerance=asked)
+    held = float(simulator._model.opt.tolerance.numpy()[0])
+    said = [float(d.used) for d in description.deviations if d.parameter == "option.tolerance"]
+    assert said == ([] if held == np.float32(asked) else pytest.approx([held]))
+    assert bool(said) == (asked == 1e-8)
+
+
 def test_compiling_moves_nothing() -> None:
     """Leave the state where it was while kernels are built for either phase."""
     simulator, _ = build(PAIR)

@@ -204,6 +204,15 @@ def _compile_files(scene: ModelScene, *, dt: float, options: MjcfOptions, numeri
     return MjcfModel(scene, "", model, qpos0.copy(), qvel0.copy(), layout)
 
 
+def raised_tolerance(given: float, held: float) -> tuple[Deviation, ...]:
+    """What MuJoCo Warp's put_model does with the tolerance of a model: it computes in single precision, and takes 1e-6
+    where the model has less."""
+    if np.float32(given) == np.float32(held):
+        return ()
+    reason = "MuJoCo Warp takes no smaller tolerance, because it computes in single precision"
+    return (Deviation("option.tolerance", f"{given:g}", f"{held:g}", reason),)
+
+
 def _text(values: Iterable[float]) -> str:
     return " ".join(np.format_float_positional(value, trim="-") for value in values)
 

@@ -155,13 +155,18 @@ class Newton(Slotted):
         )
 
     def _deviations(self) -> tuple[Deviation, ...]:
+        from gpusimbench.recorder.simulators.mujoco.model import raised_tolerance
         from gpusimbench.recorder.simulators.newton.deviations import deviations
         from gpusimbench.recorder.simulators.newton.import_deviations import deviations_of_import
 
+        built, solver = self._worlds.model, self._worlds.solver
+        raised: tuple[Deviation, ...] = ()
+        if self.options.solver == "mujoco":
+            held = float(solver.mjw_model.opt.tolerance.numpy()[0])
+            raised = raised_tolerance(solver.mj_model.opt.tolerance, held)
         known = deviations(self.scene, self.options)
         if self._world.imported is None:
-            return known
-        built, solver = self._worlds.model, self._worlds.solver
+            return (*known, *raised)
         own = deviations_of_import(
             built, solver, self._world.imported, self._compiled.model, self.options.solver,
             of_file=isinstance(self.scene, ModelScene),
@@ -169,7 +174,7 @@ class Newton(Slotted):
         if self.options.own_contacts:  # the option 'gap' is every shape's, and is recorded as an option
             own = [deviation for deviation in own if not deviation.parameter.endswith(".gap")]
         of_contacts = self._compiled.deviations if self.options.solver == "mujoco" else known
-        return (*of_contacts, *own)
+        return (*of_contacts, *own, *raised)
 
     def _make_worlds(self, n_env: int) -> Any:
         from gpusimbench.recorder.simulators.newton.worlds import ModelControls, Worlds

@@ -59,7 +59,7 @@ class MujocoWarp(Slotted):
         import warp as wp
 
         from gpusimbench.recorder.simulators.buffer_sizes import measure
-        from gpusimbench.recorder.simulators.mujoco.model import compile_scene, compile_varied
+        from gpusimbench.recorder.simulators.mujoco.model import compile_scene, compile_varied, raised_tolerance
 
         compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)
         need = measure(compiled, dt=self.dt, seed=self.seed, varied=self.variation is not None)
@@ -93,7 +93,10 @@ class MujocoWarp(Slotted):
                 "warp": wp.config.version,
                 "mujoco": version("mujoco"),
             },
-            deviations=compiled.deviations,
+            deviations=(
+                *compiled.deviations,
+                *raised_tolerance(compiled.model.opt.tolerance, float(self._model.opt.tolerance.numpy()[0])),
+            ),
             fields=compiled.fields("float32"),
             timing_covers=self._covers(),
             attachments=compiled.attachments,
