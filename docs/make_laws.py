@@ -25,9 +25,9 @@ from gpusimbench.evaluator.runs.physics.laws import laws_of
 
 PAGE = Path(__file__).resolve().parent / "physics" / "engines.md"
 BASE = 0.01
-STEPS = (0.02, BASE, 0.005)
-FINE = (*STEPS, 0.001)
-"""Steps [s]; MuJoCo C, which is fast on a CPU, is recorded at one more."""
+STEPS = (BASE, 0.005)
+FINE = (BASE, 0.001)
+"""Steps [s]; the second of MuJoCo C, which is fast on a CPU, is finer."""
 STEPS_OF = {"ball-drop": (BASE, 0.001)}
 """Steps [s] of scenes that have others: a bounce is over in a few steps."""
 SECONDS = {
@@ -100,7 +100,7 @@ def name_of(scene: str, simulator: str, options: Sequence[str], dt: float) -> st
 
 
 def steps_of(scene: str, simulator: str, options: Sequence[str]) -> tuple[float, ...]:
-    """At which a simulator is recorded [s]: MuJoCo C with its defaults, and of loops with any options, at one more."""
+    """At which a simulator is recorded [s]: MuJoCo C by default, and of loops with any options, at a finer one."""
     fine = simulator == "mujoco" and (not options or scene == "four-bar")
     return STEPS_OF.get(scene, FINE if fine else STEPS)
 
@@ -134,7 +134,7 @@ def record(folder: Path, chosen: Sequence[str]) -> None:
 def rows(folder: Path, scene: str) -> Iterator[Row]:
     """What was recorded of a scene, in the order of the runs, long steps first."""
     for of, simulator, options in _RUNS:
-        for dt in FINE:
+        for dt in sorted({*STEPS, *FINE}, reverse=True):
             found = sorted((folder / name_of(of, simulator, options, dt)).glob("*.mcap")) if of == scene else []
             for path in found:
                 recording = open_recording(path)

@@ -100,9 +100,9 @@ def test_page_has_what_the_script_prints(simulated: dict[str, list[list[str]]]) 
 
 
 def test_examples_of_the_page() -> None:
-    """Run the page's examples on shipped recordings and get the output that it shows."""
+    """Run the page's example on shipped recordings and get the output that it shows."""
     examples = re.findall(r"```python\n(.*?)```\s*```text\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
-    assert len(examples) == 2
+    assert len(examples) == 1
     for code, shown in examples:
         done = run_python(code, cwd=ROOT)
         assert done.stdout == shown
