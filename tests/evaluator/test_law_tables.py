@@ -37,8 +37,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_row_has_measured_values_and_how_they_change_with_the_step(recorded: Path) -> None:
-    """Draw a row for each step, with versions, changes behind the values of the second, and the height of the hop."""
+def test_a_row_has_measured_values(recorded: Path) -> None:
+    """Draw a row for each step, with versions, and the height of the hop."""
     laws = script("make_laws")
     coarse, fine = laws.rows(recorded, "sliding-block")
     assert (coarse.dt, fine.dt) == (0.01, 0.005)
@@ -48,18 +48,16 @@ def test_a_row_has_measured_values_and_how_they_change_with_the_step(recorded: P
     head, _, predicted, *shown = laws.table([coarse, fine]).splitlines()
     assert head.startswith("| engine | step | acceleration of the block on 0 degrees [m/s2] |")
     assert predicted.startswith("| *predicted* | | -2.943 |")
-    change = 100 * (level[1].measured - level[0].measured) / 2.943
     cells = [[cell.strip().replace("*", "") for cell in line.split("|")[1:-1]] for line in shown]
-    assert cells[0][2] == f"{level[0].measured:.4g}"
-    assert cells[1][2] == f"{level[1].measured:.4g} ({change:+.2g} %)"
+    assert [row[2] for row in cells] == [f"{law.measured:.4g}" for law in level]
     assert [line.count("**") // 2 for line in shown] == [
         sum(not law.held for law in row.laws.values()) for row in (coarse, fine)
     ]
 
 
 @pytest.mark.slow
-def test_what_nothing_predicts_has_neither_a_verdict_nor_a_share(tmp_path: Path) -> None:
-    """Show restitutions of MuJoCo, which has no coefficient, without bold type, and their differences as they are."""
+def test_what_nothing_predicts_has_no_verdict(tmp_path: Path) -> None:
+    """Show restitutions of MuJoCo, which has no coefficient, without bold type."""
     laws = script("make_laws")
     for dt in laws.STEPS_OF["ball-drop"]:
         call(
@@ -76,8 +74,8 @@ def test_what_nothing_predicts_has_neither_a_verdict_nor_a_share(tmp_path: Path)
     )
     assert predicted == ["-", "0"] * 3
     assert [cell.startswith("**") for cell in one] == [False, True] * 3  # the energy that each ball gains
-    low = coarse.laws["low_restitution"].measured, fine.laws["low_restitution"].measured
-    assert other[0] == f"{low[1]:.4g} ({low[1] - low[0]:+.2g})"
+    low = fine.laws["low_restitution"].measured
+    assert other[0] == f"{low:.4g}"
 
 
 def test_the_page_has_the_tables_of_the_scripts() -> None:
