@@ -70,13 +70,14 @@ def cell(row: FidelityRow | None) -> str:
 
 
 def at_the_end(found: Sequence[tuple[Fidelity, float]]) -> str:
-    """A row for each group: what a few states tell."""
+    """A row for each group that breaks a check or is not at rest: what a few states tell."""
     titles = [f"{check.title}{f' [{check.unit}]' if check.unit else ''}" for check in _AT_THE_END]
     lines = [f"| simulator | runs | {' | '.join(titles)} |", f"| --- | --- {'| --- ' * len(titles)}|"]
     for one, _ in found:
         rows = {row.check: row for row in one.rows}
         cells = [cell(rows.get(check)) for check in _AT_THE_END]
-        lines.append(f"| {one.label} | {one.n_run} | {' | '.join(cells)} |")
+        if any("*" in shown for shown in cells):
+            lines.append(f"| {one.label} | {one.n_run} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
