@@ -5,7 +5,7 @@ none. Seeds, numbers of environments, spreads and steps differ from probe to pro
 its recordings, which a second process makes, in the calibration simulator's own environment (gsb-record --setup
 calibration); it records all of them, since a process of its own for each of a few thousand runs would take hours.
 
-    python -m benchmarks.probe_control [--probes 143] [--clean 143]         the counts of docs/probe.md
+    python -m benchmarks.probe_control [--probes 154] [--clean 154]         the counts of docs/probe.md
 """
 
 from __future__ import annotations
@@ -32,11 +32,14 @@ SIZES = (1, 4, 64, 4096)
 OUTCOMES = 1024
 """Of what a run draws, times the size: with two outcomes, half of all pairs of runs would be equal by chance."""
 
+SOUND = {"regime": "by-position"}
+"""Options with which nothing depends on what should not matter."""
+
 FOUND_BY = {
     "runs": {"regime": "run-order", "entropy": "build"},
     "envs": {"regime": "offset"},
     **{
-        key: {"fault": key}
+        key: {"fault": key, **SOUND}
         for key in (
             "capture",
             "number",
@@ -48,6 +51,7 @@ FOUND_BY = {
             "restored",
             "process",
             "mirrored",
+            "relabelled",
             "set",
         )
     },
@@ -76,7 +80,7 @@ class Probe:
     @property
     def options(self) -> dict[str, str]:
         """Of the calibration simulator."""
-        given = FOUND_BY[self.planted] if self.planted else {}
+        given = FOUND_BY[self.planted] if self.planted else SOUND
         ulps = OUTCOMES * self.ulps if self.planted == "runs" else self.ulps
         size = {"ulps": str(ulps), "at": str(self.at)} if self.planted else {}
         return {**given, **size, "device": "cpu"}
@@ -216,7 +220,7 @@ def recorded_elsewhere(jobs: list[dict[str, Any]], file: Path) -> None:
 def main() -> None:
     """Plant, record, judge, count."""
     p = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
-    p.add_argument("--probes", type=int, default=143, help="with a fault (default: %(default)s)")
+    p.add_argument("--probes", type=int, default=154, help="with a fault (default: %(default)s)")
     p.add_argument("--clean", type=int, help="without a fault (default: as many)")
     p.add_argument("--record", type=Path, help=argparse.SUPPRESS)
     arguments = p.parse_args()

@@ -29,7 +29,7 @@ def repack(path: Path) -> tuple[int, int]:
     with path.open("rb") as source, small.open("wb") as target:
         _copy(StreamReader(source, validate_crcs=True), Writer(
             target, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD,
-            index_types=IndexType.ALL & ~IndexType.MESSAGE,
+            index_types=IndexType.ALL & ~IndexType.MESSAGE, enable_data_crcs=True,
         ))  # fmt: skip
     before, after = open_recording(path), open_recording(small)
     verify(after)

@@ -7,7 +7,7 @@ gsb-probe records runs that begin in other states, have other parameters, or are
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,23 +21,30 @@ AXES = ("x", "y", "xy")
 """Coordinates whose signs change in mirror images (schemas.mirror): x in the plane x = 0, y in the plane y = 0, and
 both by a half turn about z."""
 
+ORDERS = ("reverse",)
+"""Orders in which identical bodies get each other's states (schemas.relabel)."""
+
 _NUMBER = r"[0-9.eE+-]+"
 _INITIAL = re.compile(rf"random:(?P<spread>{_NUMBER})(?:,(?P<kind>[a-z]+):(?P<value>[a-z0-9]{{1,8}}))?")
 _GIVEN = re.compile(r"(?:states|snapshot:(?P<step>\d{1,12})):(?P<sha256>[0-9a-f]{64})")
 
 
-def _axes(text: str) -> str:
-    if text not in AXES:
-        raise ValueError(text)
-    return text
+def _one_of(known: Sequence[str]) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if text not in known:
+            raise ValueError(text)
+        return text
+
+    return read
 
 
 @dataclass(frozen=True)
 class InitialKind:
     """A kind of drawn initial states that differ from the usual ones: "random:SPREAD,NAME:VALUE".
 
-    Beside this declaration, a kind is a field of Initial and what recorder.run.start makes of it. gsb-probe records it,
-    and a question in evaluator.probe.questions judges it.
+    Beside this declaration, a kind is a field of Initial and what recorder.run.start makes of it; of a symmetry of the
+    scene, what schemas.symmetry makes of it. gsb-probe records it, and a question in evaluator.probe.questions judges
+    it.
 
     name    of the field of Initial
     value   what stands for VALUE in messages
@@ -68,8 +75,12 @@ _DRAWN_STATES = (
         probed=lambda n_env: 0 if n_env > 1 else None,
     ),
     InitialKind(
-        "mirror", "AXES", f"begins all environments in mirror images ({', '.join(AXES)}: signs that change)", _axes,
-        probed=lambda n_env: "y",
+        "mirror", "AXES", f"begins all environments in mirror images ({', '.join(AXES)}: signs that change)",
+        _one_of(AXES), probed=lambda n_env: "y",
+    ),
+    InitialKind(
+        "relabel", "ORDER", f"begins identical bodies with each other's states ({', '.join(ORDERS)})", _one_of(ORDERS),
+        probed=lambda n_env: "reverse",
     ),
 )  # fmt: skip
 INITIAL_KINDS = {kind.name: kind for kind in _DRAWN_STATES}
@@ -85,12 +96,14 @@ class Initial:
     shift   environment e begins as environment e + shift does without it, modulo their number: ",shift:K"
     but     all environments but this one begin otherwise than without it: ",but:E"; None: all as without it
     mirror  all environments begin in the mirror images of these states, as of AXES: ",mirror:AXES"
+    relabel identical bodies exchange these states, in an order of ORDERS: ",relabel:ORDER"
     """
 
     spread: float
     shift: int = 0
     but: int | None = None
     mirror: str = ""
+    relabel: str = ""
 
     @classmethod
     def parse(cls, text: str) -> Initial:

@@ -15,14 +15,52 @@ arithmetic itself does not mirror the sign of a zero.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.schemas.fields import StateField
+
 _POLAR = ("position", "linear_velocity")
 _AXIAL = ("angular_velocity", "orientation")
 _SHAPES = ("box", "sphere", "capsule", "plane")  # each its own mirror image in its own axes
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """A reflection, or a half turn about z; see schemas.symmetry.Symmetry.
+
+    axes     as of schemas.initial.AXES
+    why_not  why the scene is not its own mirror image; empty where it is
+    """
+
+    axes: str
+    why_not: str = ""
+
+    @classmethod
+    def of(cls, scene: Mapping[str, Any], axes: str) -> Mirror:
+        """That of a scene, described as in scene.json."""
+        why = why_unlike_its_image(scene, axes)
+        return cls(axes, why and f"is not its own mirror image: {why}")
+
+    @property
+    def words(self) -> str:
+        """The plane or axis."""
+        return f"mirrored in the {'z axis, by a half turn' if self.axes == 'xy' else f'plane {self.axes} = 0'}"
+
+    def why_unknown(self, layout: StateField) -> str:
+        """Why a field has no known mirror image: joints have none."""
+        return "" if can_mirror(layout.field) else f"the mirror image of {layout.name} is not known"
+
+    def image(self, layout: StateField, values: NDArray[Any]) -> NDArray[Any]:
+        """The mirror image of a field's numbers [..., item, component], zeros without a sign."""
+        return mirrored(layout.field, values, self.axes)
+
+    def point(self, positions: NDArray[Any]) -> NDArray[Any]:
+        """The mirror images of points [..., xyz] [m]."""
+        return mirrored("position", positions, self.axes)
 
 
 def can_mirror(field: str) -> bool:
@@ -33,7 +71,7 @@ def can_mirror(field: str) -> bool:
 def mirrored(field: str, values: NDArray[Any], axes: str) -> NDArray[Any]:
     """The mirror image of a state field's numbers [..., component], orientations wxyz, exact, zeros without a sign.
 
-    axes  of treatment.AXES, or empty: the numbers as they are, zeros without a sign
+    axes  of schemas.initial.AXES
     """
     signs = np.array([-1.0 if axis in axes else 1.0 for axis in "xyz"])
     if field in _AXIAL:

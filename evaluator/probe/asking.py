@@ -16,7 +16,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.streams import of_both_phases
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.initial import INITIAL_KINDS, Initial
-from gpusimbench.schemas.mirror import why_unlike_its_image
+from gpusimbench.schemas.symmetry import symmetry_of
 from gpusimbench.schemas.text import bound, plural
 from gpusimbench.schemas.treatment import KINDS, Intervention
 
@@ -196,18 +196,29 @@ def ask_neighbours(arms: Arms) -> Asked | Missing:
     return decided_alone(compare_pairs(Pairs(base, others, same_slots([initial.but]))), compared)
 
 
-def ask_mirrored(arms: Arms) -> Asked | Missing:
-    """The mirror images of all environments with what went on from the mirror images of their initial states."""
-    both, base = _begun_otherwise(arms, "mirror"), first_of(arms.varied)
-    axes = INITIAL_KINDS["mirror"].probed(arms.n_env) if isinstance(both, Missing) else both[2].mirror
-    if not isinstance(base, Missing) and (why := why_unlike_its_image(base.scene, str(axes))):
-        return Missing(f"the scene is not its own mirror image: {why}")
-    if isinstance(both, Missing):
-        return both
-    base, images, _ = both
-    pairs = Pairs(base, images, same_slots(range(arms.n_env)), mirror=str(axes))
-    plane = "z axis, by a half turn" if axes == "xy" else f"plane {axes} = 0"
-    return decided_alone(compare_pairs(pairs), f"the same {_what_varies(arms)}, mirrored in the {plane}")
+def image_goes_on(kind: str) -> Callable[[Arms], Asked | Missing]:
+    """The question of all environments, that begin in images of their initial states by a symmetry of the scene.
+
+    kind  of schemas.initial.INITIAL_KINDS
+    """
+
+    def ask(arms: Arms) -> Asked | Missing:
+        base, both = first_of(arms.varied), _begun_otherwise(arms, kind)
+        if isinstance(base, Missing):
+            return base
+        probed = INITIAL_KINDS[kind].probed(arms.n_env)
+        assert probed is not None
+        initial = Initial(1.0).of_kind(kind, probed) if isinstance(both, Missing) else both[2]
+        symmetry = symmetry_of(initial, base.scene, arms.key.told["vary"])
+        assert symmetry is not None
+        if symmetry.why_not:
+            return Missing(f"the scene {symmetry.why_not}")
+        if isinstance(both, Missing):
+            return both
+        pairs = Pairs(base, both[1], same_slots(range(arms.n_env)), symmetry=symmetry)
+        return decided_alone(compare_pairs(pairs), f"the same {_what_varies(arms)}, {symmetry.words}")
+
+    return ask
 
 
 def ask_captured(arms: Arms) -> Asked | Missing:

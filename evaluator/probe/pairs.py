@@ -15,7 +15,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.mirror import can_mirror, mirrored
+from gpusimbench.schemas.symmetry import Symmetry
 
 _ROWS = 50  # a block's rows, so that none is decoded twice
 
@@ -24,12 +24,11 @@ _ROWS = 50  # a block's rows, so that none is decoded twice
 class Pairs:
     """Pairs of environments of two recordings.
 
-    a, b   the recordings; may be the same
-    envs   of each pair, the environment of a and that of b
-    ahead  the state of a after step s + ahead is held against that of b after step s
-    first  step of b to begin with: 0 is the initial state
-    mirror the mirror images of b's states are compared, as of schemas.initial.AXES, and zeros have no sign; empty:
-           the states themselves, bit by bit
+    a, b      the recordings; may be the same
+    envs      of each pair, the environment of a and that of b
+    ahead     the state of a after step s + ahead is held against that of b after step s
+    first     step of b to begin with: 0 is the initial state
+    symmetry  the images of b's states are compared, bit by bit; None: the states themselves
     """
 
     a: Recording
@@ -37,7 +36,7 @@ class Pairs:
     envs: tuple[tuple[int, int], ...]
     ahead: int = 0
     first: int = 0
-    mirror: str = ""
+    symmetry: Symmetry | None = None
 
 
 @dataclass(frozen=True)
@@ -173,10 +172,11 @@ def _incomparable(pairs: Pairs) -> str:
     if a.configuration.dt != b.configuration.dt:
         return "they have other time steps"
     origins = [recording.simulation.env_origins if recording.simulation else () for recording in (a, b)]
-    if pairs.mirror and (odd := next((f.name for f in a.fields if not can_mirror(f.field)), "")):
-        return f"the mirror image of {odd} is not known"
+    if pairs.symmetry and (why := next(filter(None, map(pairs.symmetry.why_unknown, a.fields)), "")):
+        return why
     in_world = any(f.field == "position" and f.frame == "world" for f in a.fields)
-    if in_world and any(origin["xyz".index(axis)] for origin in origins[0] for axis in pairs.mirror):
+    places = np.array(origins[0]).reshape(-1, 3)
+    if in_world and pairs.symmetry and not np.array_equal(pairs.symmetry.point(places), places):
         return "environments stand at origins beside the mirror's plane, so that images are rounded otherwise"
     if in_world and any(_origin(origins[0], e) != _origin(origins[1], f) for e, f in pairs.envs):
         return "they stand at different origins, so that their positions cannot be compared by bits"
@@ -226,9 +226,10 @@ class _Steps:
             (self._pairs.b, self._rows_b[rows], self._envs_b),
         )
         a, b = (_read_states(recording.state(field.group, field.field), at, envs) for recording, at, envs in sides)
-        if self._pairs.mirror:
-            return mirrored(field.field, a, ""), mirrored(field.field, b, self._pairs.mirror)
-        return a, b
+        if (symmetry := self._pairs.symmetry) is None:
+            return a, b
+        # the image of the image has no signs of zeros where the image has none
+        return symmetry.image(field, symmetry.image(field, a)), symmetry.image(field, b)
 
 
 def _read_states(array: Any, rows: NDArray[np.int64], envs: NDArray[np.int64]) -> NDArray[Any]:
@@ -240,8 +241,8 @@ def _read_states(array: Any, rows: NDArray[np.int64], envs: NDArray[np.int64]) -
 def _by_hashes(pairs: Pairs) -> tuple[NDArray[np.bool_], int, int | None]:
     """Which pairs differ by hashes, over how many common steps, and the first step of a at which one does."""
     apart = np.zeros(len(pairs.envs), dtype=bool)
-    if pairs.mirror:
-        return apart, 0, None  # a hash has no mirror image
+    if pairs.symmetry is not None:
+        return apart, 0, None  # a hash has no image
     found = [recording.fingerprints("capture") for recording in (pairs.a, pairs.b)]
     if found[0] is None or found[1] is None:
         return apart, 0, None

@@ -19,13 +19,13 @@ from gpusimbench.evaluator.probe.asking import (
     ask_devices,
     ask_envs,
     ask_fresh,
-    ask_mirrored,
     ask_neighbours,
     ask_numbers,
     ask_process,
     ask_runs,
     ask_slots,
     goes_on,
+    image_goes_on,
     left_alone,
 )
 from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding
@@ -121,7 +121,8 @@ QUESTIONS = (
         goes_on("excursion", "saved at step {step}, {more} further steps, restored"),
     ),
     Question("process", "a snapshot goes on in another process as before", ask_process),
-    Question("mirrored", "a mirrored state goes on as the mirrored one", ask_mirrored, gate=False),
+    Question("mirrored", "a mirrored state goes on as the mirrored one", image_goes_on("mirror"), gate=False),
+    Question("relabelled", "identical bodies are interchangeable", image_goes_on("relabel"), gate=False),
     Question("device", "independent of the device", ask_devices, gate=False, asked_of_few=True),
     Question(
         "set", "positions and velocities are the whole state",

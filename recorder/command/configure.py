@@ -103,7 +103,7 @@ def _start(arguments: argparse.Namespace, scene: Scene, dt: float) -> _Start:
         return _Start(n_env, steps, *tosses.initial(n_env, every)) if n_env >= 1 else _Start(n_env, steps, initial)
     n_env = N_ENV if arguments.n_env is None else arguments.n_env
     if initial.startswith("random:"):
-        return _Start(n_env, steps, start.parse(initial, n_env, scene))
+        return _Start(n_env, steps, start.parse(initial, n_env, scene, arguments.vary))
     if initial:
         return _Start(n_env, steps, *start.read_given(initial, n_env if arguments.sweep is None else 1))
     return _Start(n_env, steps, initial)

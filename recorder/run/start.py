@@ -25,8 +25,8 @@ from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.initial import GIVEN, INITIAL_KINDS, MOST_SPREAD, Given, Initial, parse_initial
 from gpusimbench.schemas.mcap.contents import Message
 from gpusimbench.schemas.mcap.reader import Container
-from gpusimbench.schemas.mirror import mirrored, why_unlike_its_image
 from gpusimbench.schemas.provenance import SIMULATION, Simulation
+from gpusimbench.schemas.symmetry import Symmetry, symmetry_of
 from gpusimbench.schemas.tosses import NOTICE
 from gpusimbench.schemas.treatment import TEACHER
 
@@ -56,8 +56,8 @@ def begin(simulator: Simulator, description: Description, text: str, given: byte
     if not isinstance(how, Given):
         first = tuple(np.array(array) for array in simulator.state())
         states = drawn_states(how, simulator.scene, description.fields, first, simulator.seed)
-        if how.mirror:
-            states = mirror_images(states, how.mirror, description.fields, description.env_origins)
+        if symmetry := symmetry_of(how, json.loads(simulator.scene.to_json())):
+            states = images(states, symmetry, description.fields, description.env_origins)
         simulator.set_state(states)
         return
     if given is None:
@@ -205,21 +205,20 @@ def _added(field: str, bodies: Sequence[Body | None], drawn: NDArray[np.float64]
     return None
 
 
-def mirror_images(
-    states: States, axes: str, fields: Sequence[StateField], origins: Sequence[tuple[float, float, float]]
+def images(
+    states: States, symmetry: Symmetry, fields: Sequence[StateField], origins: Sequence[tuple[float, float, float]]
 ) -> tuple[NDArray[np.floating], ...]:
-    """States [env, item, width] of these fields, mirrored in a plane through the origin of each environment.
+    """The images of states [env, item, width] of these fields, by a symmetry about the origin of each environment.
 
-    axes     as of schemas.initial.AXES
     origins  of the environments [m]; empty where all are at zero
     """
+    places = np.array(origins).reshape(-1, 1, 3)
+    moved = places - symmetry.point(places)  # of the image of the world's origin, in the world
     found = []
     for layout, array in zip(fields, states, strict=True):
-        if layout.field == "position" and layout.frame == "world" and origins:
-            place = np.array(origins)[:, np.newaxis]
-            found.append((mirrored(layout.field, array - place, axes) + place).astype(array.dtype))
-        else:
-            found.append(mirrored(layout.field, array, axes))
+        image = symmetry.image(layout, array)
+        in_world = layout.field == "position" and layout.frame == "world"
+        found.append((image + moved).astype(array.dtype) if in_world and moved.any() else image)
     return tuple(found)
 
 
@@ -243,8 +242,11 @@ def draw(initial: Initial, seed: int, field: int, shape: tuple[int, ...]) -> NDA
     return draws.draw(initial, initial.spread, seed=seed, stream=_STREAM, field=field, shape=shape)
 
 
-def parse(text: str, n_env: int, scene: Scene) -> str:
-    """What --initial says of drawn states, as the recording keeps it. UsageError where nothing can be drawn so."""
+def parse(text: str, n_env: int, scene: Scene, vary: str = "") -> str:
+    """What --initial says of drawn states, as the recording keeps it. UsageError where nothing can be drawn so.
+
+    vary  parameters that vary, as of a RunConfiguration
+    """
     try:
         drawn = Initial.parse(text)
         if drawn.spread < GRID or (drawn.but or 0) >= n_env:
@@ -253,10 +255,12 @@ def parse(text: str, n_env: int, scene: Scene) -> str:
         ends = " or ".join(f",{kind.name}:{kind.value}" for kind in INITIAL_KINDS.values())
         raise UsageError(
             f"--initial is random:SPREAD, with a spread from {GRID!r} to {MOST_SPREAD:g} (of velocities in m/s, of "
-            f"joint angles in rad), and may end with {ends}, with E an environment, and AXES x, y or xy, not '{text}'"
+            f"joint angles in rad), and may end with {ends}, with E an environment, AXES x, y or xy, and ORDER "
+            f"reverse, not '{text}'"
         ) from None
-    if drawn.mirror and (why := why_unlike_its_image(json.loads(scene.to_json()), drawn.mirror)):
-        raise UsageError(f"--initial {text}: scene '{scene.name}' is not its own mirror image: {why}")
+    symmetry = symmetry_of(drawn, json.loads(scene.to_json()), vary)
+    if symmetry is not None and symmetry.why_not:
+        raise UsageError(f"--initial {text}: scene '{scene.name}' {symmetry.why_not}")
     return str(drawn)
 
 

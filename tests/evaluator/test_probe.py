@@ -41,6 +41,7 @@ from gpusimbench.schemas.fields import body_fields, joint_field
 from gpusimbench.schemas.initial import Initial
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.mirror import Mirror
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from gpusimbench.schemas.treatment import Intervention
 from tests.conftest import Command, call, made_once
@@ -79,6 +80,8 @@ def _world(arm: Arm, planted: Planted | None) -> Callable[[NDArray[Any], int], N
             found[env] += np.float32(0.001) * age * np.sin(np.arange(27, dtype=np.float32) + who)[:, None]
         if arm.initial and "y" in Initial.parse(arm.initial).mirror:
             found[..., 1] = -found[..., 1]
+        if arm.initial and Initial.parse(arm.initial).relabel:
+            found = found[:, ::-1].copy()
         if planted is not None:
             planted(found, step)
         return found
@@ -124,10 +127,12 @@ def _moved(env: int, body: int, step: int, ulps: int = 1) -> Planted:
 
 
 ARMS = [arm for arm in PLAN.arms() if not arm.snapshot and not arm.continued]
-"""plain, usual, 1, 2 and 8 environments, shifted, all but one, mirrored, one a kind of intervention, usual, plain."""
+"""plain, usual, 1, 2 and 8 environments, shifted, all but one, mirrored, relabelled, one a kind of intervention, usual,
+plain."""
 
 TREATED = {done.name: at for at, arm in enumerate(ARMS) if (done := Intervention.of(arm.intervention))}
 MIRRORED = next(at for at, arm in enumerate(ARMS) if "mirror" in arm.initial)
+RELABELLED = next(at for at, arm in enumerate(ARMS) if "relabel" in arm.initial)
 USUAL_AGAIN, PLAIN_AGAIN = len(ARMS) - 2, len(ARMS) - 1
 
 
@@ -162,6 +167,7 @@ def test_nothing_planted(tmp_path: Path) -> None:
         (5, 1, 4, "slot", 2),
         (6, 0, 6, "neighbours", 0),
         (MIRRORED, 3, 8, "mirrored", 3),
+        (RELABELLED, 2, 9, "relabelled", 2),
         (TREATED["poison"], 2, AT + 2, "poison", 2),
         (TREATED["reset"], 1, AT + 2, "bystanders", 1),
         (TREATED["reset"], 2, AT + 3, "fresh", 2),
@@ -249,9 +255,60 @@ def test_mirror_images_that_are_not_asked(tmp_path: Path) -> None:
     for axis, apart in ((0, False), (1, True)):
         origins = tuple(tuple(4.0 * env * (at == axis) for at in range(3)) for env in range(PLAN.n_env))
         one, other = (_write(tmp_path / str(axis), arm, origins=origins) for arm in (usual, mirrored))
-        found = compare_pairs(Pairs(one, other, ((1, 1),), mirror="y"))
+        found = compare_pairs(Pairs(one, other, ((1, 1),), symmetry=Mirror("y")))
         assert isinstance(found, Missing) == apart
         assert not apart or "beside the mirror's plane" in str(found)
+
+
+def test_identical_bodies(tmp_path: Path) -> None:
+    """Compare each body with the identical one whose state it began with: of others, nothing is equal, not even a zero
+    with a zero of the other sign."""
+    asked = _probe(tmp_path / "alike")["relabelled"]
+    assert asked.answer is Answer.YES
+    assert evidence(asked) == f"bit-identical: {PLAN.n_env} pairs, {PLAN.steps + 1} steps"
+    assert asked.compared == "the same initial states, exchanged between identical bodies, in reverse order"
+
+    def back(positions: NDArray[Any], now: int) -> None:
+        if now >= 5:
+            positions[1] = positions[1, ::-1].copy()
+
+    found = _probe(tmp_path / "names", {RELABELLED: back})["relabelled"].found
+    assert found is not None and found.first is not None
+    assert (found.differing, found.first_step, found.first.env_a) == (1, 5, 1)
+
+    def zeros(body: int, sign: float) -> Planted:
+        def plant(positions: NDArray[Any], now: int) -> None:
+            positions[2, body] = sign * 0.0
+
+        return plant
+
+    for sign, answer in ((1.0, Answer.NO), (-1.0, Answer.YES)):
+        arms = {at: zeros(3, -1.0) for at in (1, USUAL_AGAIN)} | {RELABELLED: zeros(27 - 1 - 3, sign)}
+        assert _probe(tmp_path / f"zeros {sign}", arms)["relabelled"].answer is answer
+
+
+def test_identical_bodies_that_are_not_asked(tmp_path: Path) -> None:
+    """Say why: of old recordings without the arm, of scenes without identical bodies, of bodies that vary."""
+    usual, relabelled = ARMS[1], ARMS[RELABELLED]
+
+    def reason(*recordings: Recording) -> str:
+        (arms,) = arms_of(recordings)
+        (found,) = (finding for finding in answers(arms) if finding.key == "relabelled")
+        assert found.answer is Answer.NOT_ASKED
+        return found.reason
+
+    old = _write(tmp_path, usual)
+    assert reason(old) == "needs a run with --initial random:SPREAD,relabel:ORDER"
+    weights = [{**body, "mass": body.get("mass") and at + 1.0} for at, body in enumerate(old.scene["bodies"])]
+    both = [_write(tmp_path / "weights", arm, also=changing(SCENE, bodies=weights)) for arm in (usual, relabelled)]
+    assert reason(*both) == reason(both[0]) == "the scene has no two identical bodies that move"
+    varied = changing(PROVENANCE, "configuration", vary="mass:0.1")
+    both = [_write(tmp_path / "varied", arm, also=varied) for arm in (usual, relabelled)]
+    assert reason(*both) == "the scene has no identical bodies: each has parameters of its own (--vary)"
+    origins = tuple((0.3 * env, 0.1, 0.0) for env in range(PLAN.n_env))
+    one, other = (_write(tmp_path / "origins", arm, origins=origins) for arm in (usual, relabelled))
+    (arms,) = arms_of([one, other])
+    assert {finding.key: finding for finding in answers(arms)}["relabelled"].answer is Answer.YES
 
 
 def test_distances_are_of_one_unit() -> None:
@@ -270,7 +327,7 @@ def test_joints_have_no_mirror_image() -> None:
     """Say which field cannot be mirrored, before any state is read."""
     joints = joint_field("robot", "qpos", "float64", ("hinge",))
     run: Any = SimpleNamespace(fields=(joints,), configuration=SimpleNamespace(dt=0.01), simulation=None)
-    found = compare_pairs(Pairs(run, run, ((0, 0),), mirror="y"))
+    found = compare_pairs(Pairs(run, run, ((0, 0),), symmetry=Mirror("y")))
     assert isinstance(found, Missing)
     assert found.reason == "the mirror image of robot/qpos is not known"
 
@@ -450,10 +507,13 @@ def _probed(folder: Path) -> None:
         "gsb-probe", "--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", folder / "out",
         "--json", folder / "answers.json", code=0,
     )  # fmt: skip
-    assert len(done.stdout.splitlines()) <= 22
+    assert len(done.stdout.splitlines()) <= 25
     asked = sum(not question.asked_of_few for question in QUESTIONS)
-    no = "a mirrored state goes on as the mirrored one, positions and velocities are the whole state"
-    said = f"{asked - 2} of {asked} answers are yes; no: {no}"
+    no = (
+        "a mirrored state goes on as the mirrored one, identical bodies are interchangeable, positions and velocities "
+        "are the whole state"
+    )
+    said = f"{asked - 3} of {asked} answers are yes; no: {no}"
     assert said in " ".join(done.stdout.split())
 
 
@@ -470,12 +530,12 @@ def probed() -> Path:
 
 @pytest.mark.slow
 def test_mujoco(probed: Path) -> None:
-    """Find that MuJoCo C depends on nothing but the side on which boxes touch, and that it has more of a state than
-    positions and velocities."""
+    """Find that MuJoCo C depends on nothing but the side on which boxes touch and the order of bodies, and that it has
+    more of a state than positions and velocities."""
     (probe,) = json.loads((probed.parent / "answers.json").read_text())["probes"]
     assert probe["simulator"] == "mujoco"
     said = {answer["key"]: answer for answer in probe["answers"]}
-    assert {key for key, answer in said.items() if answer["answer"] == "no"} == {"mirrored", "set"}
+    assert {key for key, answer in said.items() if answer["answer"] == "no"} == {"mirrored", "relabelled", "set"}
     assert said["set"]["found"]["first_step"] == 11
     assert said["runs"]["found"]["level"] == "bit_identical"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ pytest.importorskip("taichi")
 
 from gpusimbench.recorder.conformance import Subject
 from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.run.start import drawn_states, images
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description
@@ -22,6 +24,8 @@ from gpusimbench.recorder.simulators.calibration.options import REGIMES, Calibra
 from gpusimbench.recorder.simulators.calibration.simulator import Calibration
 from gpusimbench.recorder.simulators.flight import NEVER, FailureKind, Watch, step_and_kind
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.initial import Initial
+from gpusimbench.schemas.relabel import Relabelling
 
 Json = dict[str, Any]
 
@@ -166,3 +170,43 @@ def test_what_a_reset_moves(fault: str, moved: list[int]) -> None:
     apart = after.view(np.int32) - before.view(np.int32)
     assert np.argwhere(apart).tolist() == [[env, 26, 0] for env in moved]
     assert set(apart[moved, 26, 0].tolist()) == ({5} if moved else set())
+
+
+@pytest.mark.parametrize("scene", ["inclined-collision", "free-fall"])
+def test_numbers_of_bodies(scene: str) -> None:
+    """Step identical bodies that exchanged their states to the exchanged states, if forces are added up by position,
+    and to others if they are added up by number; or if a fault tells bodies apart by number."""
+    apart = {}
+    faulty = {"regime": "by-position", "fault": "relabelled", "ulps": 1, "at": 3}
+    for options in ({"regime": "identical"}, {"regime": "by-position"}, faulty):
+        simulator, description = build(scene=scene, **options)
+        begun = drawn_states(Initial(0.3), simulator.scene, description.fields, simulator.state(), 0)
+        relabelling = Relabelling.of(json.loads(simulator.scene.to_json()))
+        ended = []
+        for states in (begun, images(begun, relabelling, description.fields, ())):
+            simulator.reset()
+            simulator.set_state(states)
+            simulator.step(60)
+            ended.append(simulator.state())
+        simulator.close()
+        usual, image = ended[0], images(ended[1], relabelling, description.fields, ())
+        apart[tuple(options.values())] = any(not np.array_equal(a, b) for a, b in zip(usual, image, strict=True))
+    assert list(apart.values()) == [True, False, True]
+
+
+def test_the_order_of_positions() -> None:
+    """Sort the bodies of each environment along x, then y, then z, whatever order they were in; numbers break no tie of
+    positions that differ."""
+    from gpusimbench.recorder.simulators.calibration import kernels
+    from gpusimbench.recorder.simulators.calibration.world import _numbers, _vectors
+
+    simulator, _ = build(n_env=1)
+    rng = np.random.default_rng(0)
+    places = rng.integers(0, 3, (4, 20, 3)).astype(np.float32)
+    places[..., 2] += np.arange(20, dtype=np.float32) / 32  # no two at one place
+    order = _numbers(rng.permuted(np.tile(np.arange(20, dtype=np.int32), (4, 1)), axis=1))
+    kernels.line_up(_vectors(places), order)
+    found = order.to_numpy()
+    simulator.close()
+    for env in range(4):
+        assert found[env].tolist() == np.lexsort(places[env].T[::-1]).tolist()

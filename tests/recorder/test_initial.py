@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 
 from gpusimbench import open_recording
 from gpusimbench.recorder.run.intervention import DOING
-from gpusimbench.recorder.run.start import GRID, draw, mirror_images, parse
+from gpusimbench.recorder.run.start import GRID, draw, images, parse
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import body_fields
 from gpusimbench.schemas.initial import MOST_SPREAD, Initial
-from gpusimbench.schemas.mirror import mirrored
+from gpusimbench.schemas.mirror import Mirror, mirrored
+from gpusimbench.schemas.relabel import Relabelling
 from gpusimbench.schemas.treatment import KINDS, Intervention
 from tests.conftest import Command, call
 
@@ -145,9 +146,39 @@ def test_images_beside_origins() -> None:
     """Mirror positions in the plane through the origin of their environment, and velocities as everywhere."""
     fields, origins = body_fields(FALL.groups(), "float64"), ((0.0, 0.0, 0.0), (0.0, 8.0, 0.0))
     states = tuple(np.ones((2, len(layout.items), layout.width)) for layout in fields)
-    found = dict(zip([f.field for f in fields], mirror_images(states, "y", fields, origins), strict=True))
+    found = dict(zip([f.field for f in fields], images(states, Mirror("y"), fields, origins), strict=True))
     assert found["position"][:, 0].tolist() == [[1, -1, 1], [1, 15, 1]]
     assert found["linear_velocity"][:, 0].tolist() == [[1, -1, 1]] * 2
+
+
+def test_exchanged_states(recorded: tuple[Path, Path], gsb_record: Command, tmp_path: Path) -> None:
+    """Begin each cube in the state of another one, from the last to the first, and the ball in its own."""
+    again = ("--sim", "mujoco", "--runs", "1", *_SHORT, "--initial", "random:0.1,relabel:reverse", "--out", tmp_path)
+    relabelled, usual = open_recording(Path(gsb_record(*again, code=0).stdout.strip())), open_recording(recorded[0])
+    assert relabelled.configuration.initial == "random:0.1,relabel:reverse"
+    for layout in usual.fields:
+        one, other = (np.asarray(r.state(layout.group, layout.field))[0] for r in (usual, relabelled))
+        back = slice(None, None, -1 if layout.group == "cubes" else 1)
+        assert other.tobytes() == one[:, back].tobytes()
+        assert layout.field != "linear_velocity" or len(set(map(bytes, one[0]))) == len(layout.items)
+
+
+def test_bodies_that_are_not_identical(gsb_record: Command, tmp_path: Path) -> None:
+    """Refuse to exchange the states of bodies that are not known to be identical, and say why."""
+    for more, why in (
+        (("--scene", "cube-toss"), "scene 'cube-toss' has no two identical bodies that move"),
+        (("--vary", "mass:0.1"), "has no identical bodies: each has parameters of its own (--vary)"),
+    ):
+        asked = ("--sim", "mujoco", *more, "--initial", "random:0.1,relabel:reverse", "--out", tmp_path)
+        assert why in gsb_record(*asked, code=2).stderr
+
+
+def test_exchanged_beside_origins() -> None:
+    """Exchange states without rounding a position at another place."""
+    fields, origins = body_fields(FALL.groups(), "float64"), ((0.0, 0.0, 0.0), (1e3, 8.0, 0.0))
+    states = tuple(np.random.default_rng(0).random((2, len(layout.items), layout.width)) for layout in fields)
+    found = images(states, Relabelling.of(json.loads(FALL.to_json())), fields, origins)
+    assert all(np.array_equal(now, before[:, ::-1]) for now, before in zip(found, states, strict=True))
 
 
 def test_runs_begin_alike(recorded: tuple[Path, Path]) -> None:

@@ -101,6 +101,28 @@ def step(
             touching[env] = count
 
 
+@ti.func
+def before(a: tm.vec3, b: tm.vec3) -> ti.i32:
+    """Whether a comes before b along x; along y where they are level, and then along z."""
+    return a.x < b.x or (a.x == b.x and (a.y < b.y or (a.y == b.y and a.z < b.z)))
+
+
+@ti.kernel
+def line_up(x: Vectors, order: Integers):
+    """Sort the bodies of each environment by where they are, by insertion: they move little in a step."""
+    for env in range(x.shape[0]):
+        for p in range(1, x.shape[1]):
+            body = order[env, p]
+            at = p
+            while at > 0:
+                other = order[env, at - 1]
+                if not before(x[env, body], x[env, other]):
+                    break
+                order[env, at] = other
+                at = at - 1
+            order[env, at] = body
+
+
 @ti.kernel
 def clear(force: Vectors, touching: Counts):
     """Before `race`."""

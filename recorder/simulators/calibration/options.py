@@ -8,13 +8,16 @@ from dataclasses import dataclass
 
 from gpusimbench.recorder.options import require
 
-REGIMES = ("identical", "offset", "order", "run-order", "atomics")
+REGIMES = ("identical", "by-position", "offset", "order", "run-order", "atomics")
 
 BY_ENV = ("offset", "order")
 """Regimes in which the environments of a run differ."""
 
 BY_RUN = ("order", "run-order")
 """Regimes in which runs differ, by a number that each draws."""
+
+BY_NONE = ("identical", "by-position")
+"""Regimes in which neither differ."""
 
 DIGITS = 16
 """Of an entropy, at most."""
@@ -32,10 +35,12 @@ FAULTS = {
     "process": "what is restored in a process that has made no step is moved",
     "mirrored": "from step `at` on, an environment is moved after each step that leaves its last body with a velocity "
     "towards negative y",
+    "relabelled": "at step `at`, all are moved",
     "set": "what is given a state after the first step is moved",
     "capture": "what is stepped without being captured is moved",
 }
-"""What can be planted, one for each question of gsb-probe: what makes a result depend on what should not matter."""
+"""What can be planted, one for each question of gsb-probe: what makes a result depend on what should not matter. Each
+moves the last body of an environment, and so tells it from other identical bodies."""
 
 _DEVICES = ("auto", "cpu", "cuda")
 
@@ -44,9 +49,10 @@ _DEVICES = ("auto", "cpu", "cuda")
 class CalibrationOptions:
     """Options of the calibration simulator.
 
-    regime    identical: nothing differs (Type 2); offset: environments differ, alike in every run (Type 1); order:
-              environments and runs differ (Type 3); run-order: runs differ (Type 4); atomics: whatever racing atomic
-              additions make of it
+    regime    identical: nothing differs (Type 2), and forces are added up in the order of the bodies' numbers;
+              by-position: the same in the order of their positions, so that numbers of bodies do not matter either;
+              offset: environments differ, alike in every run (Type 1); order: environments and runs differ (Type 3);
+              run-order: runs differ (Type 4); atomics: whatever racing atomic additions make of it
     contacts  whether the moving bodies touch each other; that amplifies every difference
     shift     largest distance between two environments of a run, or two runs [m]: bodies are moved by it along x
     ulps      the same in units in the last place, of the x of the last body alone
@@ -54,9 +60,9 @@ class CalibrationOptions:
     env       the one environment that differs from the others; -1: all differ from each other
     entropy   what a run that differs from others draws: run (anew in each process), build (anew in each build), or
               hexadecimal digits after the point of a number from 0 to 1
-    fault     planted for gsb-probe, in regime identical, of the size `ulps`: none, number, slot, neighbours, poison,
-              bystanders, fresh, restored, process, mirrored, set or capture (FAULTS in its options.py says what each
-              does)
+    fault     planted for gsb-probe, in regime identical or by-position, of the size `ulps`: none, number, slot,
+              neighbours, poison, bystanders, fresh, restored, process, mirrored, relabelled, set or capture (FAULTS in
+              its options.py says what each does)
     device    auto, cpu or cuda (the first GPU that CUDA shows)
 
     Without a shift in metres or ulps, the cause of differences is rounding.
@@ -84,10 +90,10 @@ class CalibrationOptions:
         require(self, (lambda v: v >= 1, "at least 1, since all environments begin alike"), "at")
         if self.fault not in FAULTS:
             raise ValueError(f"fault is one of {', '.join(FAULTS)}, not '{self.fault}'")
-        if self.fault != "none" and (self.regime != "identical" or not self.ulps):
+        if self.fault != "none" and (self.regime not in BY_NONE or not self.ulps):
             raise ValueError(
-                f"fault={self.fault} needs regime=identical and a size in ulps of at least 1: add "
-                f"{'' if self.regime == 'identical' else '--option regime=identical '}--option ulps={self.ulps or 4}"
+                f"fault={self.fault} needs regime={' or '.join(BY_NONE)} and a size in ulps of at least 1: add "
+                f"{'' if self.regime in BY_NONE else '--option regime=identical '}--option ulps={self.ulps or 4}"
             )
         if self.moves and self.fault == "none" and self.regime not in (*BY_ENV, *BY_RUN):
             raise ValueError(f"shift and ulps move nothing in regime {self.regime}")

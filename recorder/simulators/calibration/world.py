@@ -76,6 +76,8 @@ class World:
     def _advance(self) -> None:
         k, x_v = self._kernels, self._state[:2]
         bodies = (*self._state, self._force, self._traits, self._faces)
+        if self._options.regime == "by-position":
+            k.line_up(x_v[0], self._order)
         if self._options.regime != "atomics":
             k.step(
                 self.substeps, self._dt, self._gravity, int(self._options.contacts), *bodies,
@@ -160,10 +162,11 @@ class Fault:
 
     def after_step(self, world: Nudged) -> None:
         """Once a step was made."""
-        if self._name in ("number", "slot") and world.done == self._at:
+        if world.done == self._at:
             env = np.arange(self._n_env)
-            times = np.full(self._n_env, self._n_env) if self._name == "number" else env
-            world.nudge((self._ulps * times).astype(np.int32))
+            times = {"number": np.full_like(env, self._n_env), "slot": env, "relabelled": np.ones_like(env)}
+            if self._name in times:
+                world.nudge((self._ulps * times[self._name]).astype(np.int32))
         if self._name == "neighbours" and world.done >= self._at:
             words = np.roll(world.state()[1], -1, axis=0).view(np.uint32).reshape(self._n_env, -1)
             world.nudge((self._ulps * (np.bitwise_xor.reduce(_parity(words), axis=1))).astype(np.int32))
