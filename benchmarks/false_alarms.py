@@ -145,7 +145,7 @@ def share(codes: Iterable[ExitCode], code: ExitCode = FAILED) -> str:
 def shares(codes: Iterable[ExitCode]) -> str:
     """Per cent that failed, were undecided, and passed."""
     found = Counter(codes)
-    return " / ".join(f"{found[code] / found.total():.1%}" for code in (FAILED, UNDECIDED, PASSED))
+    return "/".join(f"{100 * found[code] / found.total():.1f}" for code in (FAILED, UNDECIDED, PASSED))
 
 
 def tables(runs: Sequence[Run]) -> Iterator[str]:

@@ -197,11 +197,11 @@ def _histories(points: Times, length: int) -> list[Times]:
 def power(quartiles: list[float]) -> Iterator[str]:
     """A configuration of 20 that becomes slower at one point: in how many histories that very point is marked."""
     titles = " | ".join(f"runs differ by {q:.1%}" for q in quartiles)
-    yield f"| slower by {' / '.join(f'{f - 1:.0%}' for f in SLOWER)} | {titles} |"
+    yield f"| slower by {'/'.join(f'{f - 1:.0%}' for f in SLOWER)} | {titles} |"
     yield f"| --- |{' --- |' * len(quartiles)}"
     for length in LENGTHS:
         for where, at in (("newest", length - 1), ("third newest", length - 3), ("middle", length // 2)):
-            cells = [" / ".join(f"{_power(length, at, q, f):.0%}" for f in SLOWER) for q in quartiles]
+            cells = ["/".join(f"{_power(length, at, q, f):.0%}" for f in SLOWER) for q in quartiles]
             yield f"| {length} points, from the {where} on | {' | '.join(cells)} |"
 
 

@@ -68,7 +68,7 @@ ENGINES: tuple[Engine, ...] = (
     Engine("pendulum", "genesis", ("--option", "constraint_timeconst=0.04")),
     *(Engine("pendulum", name, order=None) for name in ("physx", "sapien")),
     *(Engine("pendulum", "newton", ("--solver", name)) for name in ("mujoco", "featherstone", "xpbd")),
-    *(Engine("pendulum", "brax", ("--solver", name)) for name in ("generalized", "positional", "spring")),
+    Engine("pendulum", "brax", ("--solver", "generalized")),
     *(Engine("free-fall", name) for name in ("mujoco", "warp")),
     Engine("free-fall", "mjx", ("--impl", "jax")),
     *(Engine("free-fall", "newton", ("--solver", name)) for name in ("mujoco", "featherstone", "xpbd")),
@@ -134,19 +134,19 @@ def rows(folder: Path, earlier: Sequence[str] = ()) -> Iterator[str]:
 
 def table(folder: Path, earlier: str = "") -> str:
     """All rows below their heads; `earlier` is the table that it replaces."""
-    head = "| scene | engine | error by step | order [95 %] | of the method | local orders | |"
+    head = "| scene | engine | error at the longest step | order [95 %] | of the method | local orders | |"
     shown = rows(folder, earlier.strip().splitlines()[2:])
     return "\n".join([head, "| --- | --- | --- | --- | --- | --- | --- |", *shown])
 
 
 def row(one: Convergence, label: str, engine: Engine) -> str:
-    """Errors, order and local orders of an engine, or why there is no order."""
+    """Error, order and local orders of an engine, or why there is no order."""
     where = f"| {engine.scene}, {one.what} [{one.unit}] at {one.time:g} s | {label}"
     told = "-" if engine.order is None else f"{engine.order}"
     if isinstance(one.found, Missing):
         return f"{where} | | | {told} | | {'; '.join([one.found.reason, *one.left_out])} |"
     order = one.found
-    errors = ", ".join(f"{e:.2g} at {1000 * dt:g} ms" for dt, e in zip(order.steps, order.errors, strict=True))
+    errors = f"{order.errors[0]:.2g} at {1000 * order.steps[0]:g} ms"
     note = "" if order.asymptotic else why_none(one) or NOT_ASYMPTOTIC
     return f"{where} | {errors} | {said(one)} | {told} | {said_locally(order)} | {note} |"
 

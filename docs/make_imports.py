@@ -60,9 +60,9 @@ def measured(model: Path, column: str, folder: Path) -> dict[str, Any]:
 
 
 def short(found: dict[str, Any]) -> str:
-    """A cell: what differs, or how near what agrees is."""
+    """A cell: what differs."""
     if found["missing"]:
-        return f"refused: {found['refused'].split(': ', 1)[-1].split(';')[0]}"
+        return "refused"
     findings = [finding for kind in found["kinds"] for finding in kind["findings"]]
     wrong = [f"{len(findings)} parameter{'s' if len(findings) > 1 else ''}"] if findings else []
     poses, responses = found["poses"], found["responses"]
@@ -72,11 +72,7 @@ def short(found: dict[str, Any]) -> str:
     late = [one["steps"] for one in responses["each"] if one["steps"] is not None] if responses else []
     if late and max(late) > 0.1:
         wrong.append(f"responses by {max(late):.2g} steps")
-    if wrong:
-        return "**differs**: " + ", ".join(wrong)
-    parts = [f"{distance:.0e} m" if distance is not None else "no poses"]
-    parts.append(f"{max(late):.0e} steps" if late else "no response without contact")
-    return f"agrees ({', '.join(parts)})"
+    return f"**differs**: {', '.join(wrong)}" if wrong else "agrees"
 
 
 def table(folder: Path, present: str) -> str:

@@ -1,5 +1,5 @@
 """Records the scenes with closed-form answers on the engines that are installed, and draws their tables into
-docs/physics/engines.md: which engine keeps which law at which step, and how the measured values change with the step.
+docs/physics/engines.md: which engine keeps which law at which step.
 
 usage: python docs/make_laws.py FOLDER [SIMULATOR|SCENE...]
 
@@ -25,9 +25,9 @@ from gpusimbench.evaluator.runs.physics.laws import laws_of
 
 PAGE = Path(__file__).resolve().parent / "physics" / "engines.md"
 BASE = 0.01
-STEPS = (0.02, BASE, 0.005)
-FINE = (*STEPS, 0.001)
-"""Steps [s]; MuJoCo C, which is fast on a CPU, is recorded at one more."""
+STEPS = (BASE, 0.005)
+FINE = (BASE, 0.001)
+"""Steps [s]; the second of MuJoCo C, which is fast on a CPU, is finer."""
 STEPS_OF = {"ball-drop": (BASE, 0.001)}
 """Steps [s] of scenes that have others: a bounce is over in a few steps."""
 SECONDS = {
@@ -100,7 +100,7 @@ def name_of(scene: str, simulator: str, options: Sequence[str], dt: float) -> st
 
 
 def steps_of(scene: str, simulator: str, options: Sequence[str]) -> tuple[float, ...]:
-    """At which a simulator is recorded [s]: MuJoCo C with its defaults, and of loops with any options, at one more."""
+    """At which a simulator is recorded [s]: MuJoCo C by default, and of loops with any options, at a finer one."""
     fine = simulator == "mujoco" and (not options or scene == "four-bar")
     return STEPS_OF.get(scene, FINE if fine else STEPS)
 
@@ -134,7 +134,7 @@ def record(folder: Path, chosen: Sequence[str]) -> None:
 def rows(folder: Path, scene: str) -> Iterator[Row]:
     """What was recorded of a scene, in the order of the runs, long steps first."""
     for of, simulator, options in _RUNS:
-        for dt in FINE:
+        for dt in sorted({*STEPS, *FINE}, reverse=True):
             found = sorted((folder / name_of(of, simulator, options, dt)).glob("*.mcap")) if of == scene else []
             for path in found:
                 recording = open_recording(path)
@@ -181,7 +181,7 @@ def _without_version(line: str) -> str:
 
 
 def table(found: Sequence[Row]) -> str:
-    """A row for each engine and step, a column for each law; behind a value the change from that at BASE."""
+    """A row for each engine and step, a column for each law."""
     titles: dict[str, Law] = {}
     for key, law in ((key, law) for row in found for key, law in row.laws.items()):
         if key not in titles or titles[key].predicted is None:
@@ -192,29 +192,19 @@ def table(found: Sequence[Row]) -> str:
     heads += [f"{HOPS} [mm]"] if hops else []
     lines = [f"| engine | step | {' | '.join(heads)} |", f"| --- | ---: {'| ---: ' * len(heads)}|"]
     lines.append(f"| *predicted* | | {' | '.join([*predicted, *(['0'] if hops else [])])} |")
-    base = {row.engine: row for row in found if row.dt == BASE}
     for row in found:
-        cells = [cell(row.laws.get(key), base.get(row.engine), row) for key in titles]
+        cells = [cell(row.laws.get(key)) for key in titles]
         cells += [f"{1000 * row.hop:.2g}"] if row.hop is not None else []
         lines.append(f"| {row.engine} | {1000 * row.dt:g} ms | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def cell(law: Law | None, base: Row | None, row: Row) -> str:
-    """A measured value, bold where the law is broken, with the change from the value at BASE."""
+def cell(law: Law | None) -> str:
+    """A measured value, bold where the law is broken."""
     if law is None:
         return "-"
     shown = f"{law.measured:.4g}"
-    shown = f"**{shown}**" if law.held is False else shown
-    other = base.laws.get(law.key) if base and row is not base else None
-    if other is None:
-        return shown
-    # environments draw the same speeds at every step, so that their predictions agree but for what the law starts from
-    change = law.measured - other.measured
-    if law.difference is not None and other.difference is not None:
-        change = law.difference - other.difference
-    relative = f"{100 * change / abs(law.predicted):+.2g} %" if law.predicted else f"{change:+.2g}"
-    return f"{shown} ({relative})"
+    return f"**{shown}**" if law.held is False else shown
 
 
 def main() -> None:

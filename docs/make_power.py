@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,13 +46,13 @@ _OTHERS = {"loaded-dice": "loaded_dice", "masses": "law_masses"}
 """Benchmarks whose tables claim no rate of 95 %, by the name of the file."""
 
 HEAD = (
-    "scene, engine", "step", "law", "change of", "two recordings: claimed size", "seen", "without a change",
+    "scene, engine", "step", "change of", "laws", "two recordings: claimed size", "seen", "without a change",
     "verdict: claimed size", "broken", "without a change",
 )  # fmt: skip
-"""Of the table of all counts: that of benchmarks.law_power, and what a row is of before it."""
+"""Of the table of all counts: a row for each parameter that is changed, with the counts of its laws added up."""
 
 LIMIT = 0.01
-"""A rate is bold where the claim would give one so far off with a smaller probability."""
+"""A rate is named where the claim would give one so far off with a smaller probability."""
 
 
 def count(folder: Path, chosen: list[str]) -> None:
@@ -86,44 +86,84 @@ class Rate:
 
 CLAIMS = {4: (0.95, False), 5: (0.05, True), 7: (0.95, False), 8: (0.0, True)}
 """By column: the rate that is claimed, and whether a higher rate is against the claim."""
+_SIZES = (3, 6)
 
 
-def drawn(text: str) -> tuple[str, dict[int, list[Rate]]]:
-    """A table of benchmarks.law_power with rates against their claims in bold, and the rates by column.
+@dataclass(frozen=True)
+class Counted:
+    """A row of a table of benchmarks.law_power.
 
-    A verdict that is broken without a change is no fault of the claim: such a law claims no size of its verdict.
+    of     scene and engine
+    sizes  that are claimed, by column, each with its unit; none where nothing is claimed
+    rates  by column of CLAIMS
     """
-    lines, rates = [], dict[int, list[Rate]]()
-    for line in text.strip().splitlines():
+
+    of: str
+    step: str
+    law: str
+    parameter: str
+    sizes: dict[int, str]
+    rates: dict[int, Rate]
+
+    @property
+    def far(self) -> list[int]:
+        """Columns whose rate is far from its claim.
+
+        A verdict that is broken without a change is no fault of the claim: such a law claims no size of its verdict.
+        """
+        return [column for column, rate in self.rates.items()
+                if column != 8 and rate.beyond(CLAIMS[column][0], above=CLAIMS[column][1])]  # fmt: skip
+
+
+def counted(text: str, of: str) -> Iterator[Counted]:
+    """The rows of a table of benchmarks.law_power of a scene and an engine."""
+    for line in table_rows(text):
         cells = [cell.strip() for cell in line.strip("| ").split("|")]
-        for column, (claimed, above) in CLAIMS.items():
-            seen, of, count = cells[column].partition(" of ") if len(cells) > column else ("", "", "")
-            if not of:
-                continue
-            rate = Rate(int(seen), int(count))
-            rates.setdefault(column, []).append(rate)
-            if column != 8 and rate.beyond(claimed, above=above):
-                cells[column] = f"**{cells[column]}**"
-        lines.append(f"| {' | '.join(cells)} |" if len(cells) > 1 else line)
-    return "\n".join(lines), rates
+        rates = {}
+        for column in CLAIMS:
+            seen, among, count = cells[column].partition(" of ")
+            if among:
+                rates[column] = Rate(int(seen), int(count))
+        sizes = {column: cells[column] for column in _SIZES if cells[column] != "-"}
+        yield Counted(of, cells[0], cells[1], cells[2], sizes, rates)
 
 
-def total(rates: Mapping[int, Sequence[Rate]]) -> str:
-    """The rates of all tables together, in sentences."""
-    sums = {column: Rate(sum(r.seen for r in found), sum(r.of for r in found)) for column, found in rates.items()}
-    bold = sum(rate.beyond(*CLAIMS[column][:1], above=CLAIMS[column][1])
-               for column, found in rates.items() if column != 8 for rate in found)  # fmt: skip
-    counted = sum(len(found) for column, found in rates.items() if column != 8)
-    return (
-        f"In total: {_said(sums, 4)} pairs with a change were seen, and {_said(sums, 7)} verdicts broken; "
-        f"without a change {_said(sums, 5)} pairs differed. Bold: {bold} of {counted} rates, so far from the claim "
-        f"that a rate of 95 % (5 % without a change) gives them with a probability below {100 * LIMIT:g} %."
-    )
+def table(rows: Sequence[Counted]) -> str:
+    """A row for each parameter, the counts of its laws added up; below it the sums, and every rate far from its
+    claim by name."""
+    lines = [f"| {' | '.join(HEAD)} |", f"| --- | ---: | --- {'| ---: ' * 7}|"]
+    groups: dict[tuple[str, str, str], list[Counted]] = {}
+    for row in rows:
+        groups.setdefault((row.of, row.step, row.parameter), []).append(row)
+    for (of, step, parameter), some in groups.items():
+        shown = [_between([row.sizes[c] for row in some if c in row.sizes]) if c in _SIZES else _said(some, c)
+                 for c in range(3, 9)]  # fmt: skip
+        lines.append(f"| {of} | {step} | {parameter} | {len(some)} | {' | '.join(shown)} |")
+    far = [
+        f"{row.law} ({row.of}, {row.step}): {row.rates[c].seen} of {row.rates[c].of}" for row in rows for c in row.far
+    ]
+    n_rate = sum(column != 8 for row in rows for column in row.rates)
+    return "\n".join([
+        *lines, "",
+        f"In total: {_said(rows, 4)} pairs with a change were seen, and {_said(rows, 7)} verdicts broken; without a "
+        f"change {_said(rows, 5)} pairs differed. Of the {n_rate} rates of single laws, {len(far)} "
+        f"{'is' if len(far) == 1 else 'are'} so far from the claim that a rate of 95 % (5 % without a change) gives "
+        f"such a rate with a probability below {100 * LIMIT:g} %{': ' * bool(far)}{'; '.join(far)}.",
+    ])  # fmt: skip
 
 
-def _said(sums: Mapping[int, Rate], column: int) -> str:
-    rate = sums.get(column, Rate(0, 0))
-    return f"{rate.seen:,} of {rate.of:,}"
+def _said(rows: Sequence[Counted], column: int) -> str:
+    rates = [row.rates[column] for row in rows if column in row.rates]
+    return f"{sum(rate.seen for rate in rates):,} of {sum(rate.of for rate in rates):,}" if rates else "-"
+
+
+def _between(sizes: Sequence[str]) -> str:
+    """Sizes of one unit as a range."""
+    if not sizes:
+        return "-"
+    numbers = sorted({size.partition(" ")[0] for size in sizes}, key=float)
+    unit = sizes[0].partition(" ")[2]
+    return f"{numbers[0]}{f' to {numbers[-1]}' if len(numbers) > 1 else ''} {unit}"
 
 
 def table_rows(text: str) -> list[str]:
@@ -132,20 +172,16 @@ def table_rows(text: str) -> list[str]:
 
 
 def block(folder: Path) -> str:
-    """The rows of all counts of claims that FOLDER has, in a table, with what was counted below it."""
-    shown = [f"| {' | '.join(HEAD)} |", f"| --- | ---: | --- | --- {'| ---: ' * 6}|"]
-    rates = dict[int, list[Rate]]()
+    """The table of all counts of claims that FOLDER has."""
+    rows: list[Counted] = []
     for name, arguments in COUNTS.items():
         file = folder / f"{name}.md"
         if name in _OTHERS or not file.exists():
             continue
-        text, found = drawn(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8").strip()
         engine = text.splitlines()[-1].rpartition(", ")[0].rpartition(", ")[0]  # without environments and repetitions
-        scene = arguments[arguments.index("--scene") + 1]
-        shown += [f"| {scene}, {engine} {line}" for line in table_rows(text)]
-        for column, some in found.items():
-            rates.setdefault(column, []).extend(some)
-    return "\n".join([*shown, "", total(rates)])
+        rows += counted(text, f"{arguments[arguments.index('--scene') + 1]}, {engine}")
+    return table(rows)
 
 
 def unmoved(text: str) -> str:

@@ -1,4 +1,4 @@
-"""The simulation behind docs/statistics.md, its tables in docs/statistics-simulation.md, and the page's examples."""
+"""The simulation behind docs/statistics.md, and its tables in docs/statistics-simulation.md."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import finished, run_python
+from tests.conftest import finished
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "statistics.md"
 TABLES = ROOT / "docs" / "statistics-simulation.md"
 
 
@@ -97,12 +96,3 @@ def test_page_has_what_the_script_prints(simulated: dict[str, list[list[str]]]) 
         for a, b in zip(here[2:], there[2:], strict=True)
     ]
     assert sum(apart) / len(apart) < 0.06
-
-
-def test_examples_of_the_page() -> None:
-    """Run the page's examples on shipped recordings and get the output that it shows."""
-    examples = re.findall(r"```python\n(.*?)```\s*```text\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
-    assert len(examples) == 2
-    for code, shown in examples:
-        done = run_python(code, cwd=ROOT)
-        assert done.stdout == shown

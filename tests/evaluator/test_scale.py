@@ -16,7 +16,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.scale import report
 from benchmarks.scale_cost import Plan, Prices, Rates, extrapolate
 from benchmarks.scale_runs import record
 from gpusimbench.evaluator.inputs.reader import Reader
@@ -167,28 +166,6 @@ def _parsed(text: str) -> tuple[dict[str, float], dict[str, list[float]]]:
     rows = [(row[:50].strip(), row[50:].replace(",", "").split()) for row in below.splitlines()[2:]]
     found = {what: [float(v) for v in values if v != "-"] for what, values in rows if what}
     return measured, found
-
-
-def test_the_page_shows_the_script() -> None:
-    """Show each line of the script, and hold what is extrapolated on the page to what is measured there."""
-    shown = blocks(PAGE, "text")[2]
-    ones = {f.name: 1.0 for f in fields(Rates)}
-    rates = Rates(**ones | {"certified_points": 110_592})  # type: ignore[arg-type]
-    labels = [line[:50].strip() for line in report(rates, 1.0, 10).splitlines()]
-    measured, extrapolated = _parsed(shown)
-    assert list(measured) == labels
-    n, groups = 1_000_000, 100_000
-    hour = 3600.0
-    for what, expected in (
-        ("files [GB]", n * measured["a run as recorded [MB]"] / 1e3),
-        ("verifying [core h]", n * measured["verifying a run as recorded [CPU s]"] / hour),
-        ("reading [core h]", n * measured["reading a run, not verified [CPU s]"] / hour),
-        ("W1, 45 pairs of runs a group [core h]", 45 * groups * measured["W1, a pair of runs [CPU s]"] / hour),
-        ("floors [core h]", groups * measured["floors of a group [CPU s]"] / hour),
-        ("all of it [core h]", groups * measured["a group of 10 runs, sum of the parts [CPU s]"] / hour),
-        ("summaries at once [GB]", n * measured["kept of a run in memory [kB]"] / 1e6),
-    ):
-        assert extrapolated[what][0] == pytest.approx(expected, rel=0.03), what
 
 
 def test_the_page_names_limits_that_are() -> None:
