@@ -34,8 +34,6 @@ def example(name: str) -> ModuleType:
 
 def _module(name: str, path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # where dataclasses look up the names of their fields' types
     spec.loader.exec_module(module)
