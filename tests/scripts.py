@@ -22,8 +22,7 @@ def script(name: str) -> ModuleType:
 
 def drawn(page: Path, name: str) -> str:
     """What a script has drawn into a page, by the name of its markers."""
-    shown: str = script("page_blocks").block(page.read_text(encoding="utf-8"), name)
-    return shown
+    return script("page_blocks").block(page.read_text(encoding="utf-8"), name)
 
 
 @cache

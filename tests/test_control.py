@@ -64,15 +64,13 @@ def record_many(folder: Path, tasks: list[Json]) -> None:
 def evaluate(folder: Path, seconds: float) -> Json:
     """The metrics of the only group of a folder."""
     (group,) = evaluated(folder, seconds)["groups"]
-    found: Json = group["metrics"]
-    return found
+    return group["metrics"]
 
 
 def evaluated(folder: Path, seconds: float) -> Json:
     """What gsb-eval says of a folder, positions at a time."""
     done = call("gsb-eval", *sorted(folder.glob("*.mcap")), "--sample-time", seconds, "--json", "-", code=0)
-    document: Json = json.loads(done.stdout)
-    return document
+    return json.loads(done.stdout)
 
 
 @pytest.mark.parametrize(

@@ -128,14 +128,12 @@ def _one(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
     document = json.loads(done.stdout)
     assert document["schema_version"] == SCHEMA_VERSION
     (audit,) = document["audits"]
-    found: dict[str, Any] = audit
-    return found
+    return audit
 
 
 def _rung(audit: dict[str, Any], level: str) -> dict[str, Any]:
     (found,) = (rung for rung in audit["rungs"] if rung["level"] == level)
-    rung: dict[str, Any] = found
-    return rung
+    return found
 
 
 def test_the_same_comes_out_on_the_same_machine(small_set: list[Path], tmp_path: Path) -> None:

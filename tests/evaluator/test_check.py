@@ -266,14 +266,6 @@ def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads((tmp_path / "out.json").read_text()) == document
 
 
-def test_json_never_replaces_a_recording(gsb_check: Command, tmp_path: Path) -> None:
-    """Refuse "--json *.mcap", which would overwrite the first recording."""
-    path = whole(tmp_path)
-    before = path.read_bytes()
-    gsb_check("--json", path, path, code=ExitCode.USAGE)
-    assert path.read_bytes() == before
-
-
 def test_files_without_findings_are_counted(gsb_check: Command, tmp_path: Path) -> None:
     """Say the verdict first, then what was found; list files without findings with --all alone."""
     good, other = (

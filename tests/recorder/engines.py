@@ -76,8 +76,7 @@ def field(description: Description, states: States, name: str) -> NDArray[Any]:
 def counts(simulator: Simulator, name: str) -> list[list[int]]:
     """What the simulator counts, [row][env]."""
     evidence = simulator.evidence()
-    rows: list[list[int]] = evidence.counts[name].tolist()
-    return rows
+    return evidence.counts[name].tolist()
 
 
 def bits(simulator: Simulator) -> int:
