@@ -108,5 +108,4 @@ def _ended(data: bytes, digests: dict[str, str], gone: list[str], change: Callab
         end.digests.update(digests)
         names = {number: name.removeprefix("RUN_STATUS_") for name, number in enum_values("gsb.v1.RunStatus").items()}
         end.content_hash = content_hash(dict(end.digests), names[end.status].lower(), end.reason)
-    serialised: bytes = end.SerializeToString(deterministic=True)
-    return serialised
+    return end.SerializeToString(deterministic=True)

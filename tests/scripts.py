@@ -22,8 +22,7 @@ def script(name: str) -> ModuleType:
 
 def drawn(page: Path, name: str) -> str:
     """What a script has drawn into a page, by the name of its markers."""
-    shown: str = script("page_blocks").block(page.read_text(encoding="utf-8"), name)
-    return shown
+    return script("page_blocks").block(page.read_text(encoding="utf-8"), name)
 
 
 @cache
@@ -34,8 +33,6 @@ def example(name: str) -> ModuleType:
 
 def _module(name: str, path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # where dataclasses look up the names of their fields' types
     spec.loader.exec_module(module)

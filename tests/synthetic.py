@@ -353,5 +353,4 @@ def grid(n_env: int, dtype: str = "float64") -> NDArray[Any]:
 
 def metrics_of(text: str, label: int = 0) -> dict[str, Any]:
     """The metrics of one group of a JSON result."""
-    found: dict[str, Any] = json.loads(text)["groups"][label]["metrics"]
-    return found
+    return json.loads(text)["groups"][label]["metrics"]

@@ -64,15 +64,13 @@ def record_many(folder: Path, tasks: list[Json]) -> None:
 def evaluate(folder: Path, seconds: float) -> Json:
     """The metrics of the only group of a folder."""
     (group,) = evaluated(folder, seconds)["groups"]
-    found: Json = group["metrics"]
-    return found
+    return group["metrics"]
 
 
 def evaluated(folder: Path, seconds: float) -> Json:
     """What gsb-eval says of a folder, positions at a time."""
     done = call("gsb-eval", *sorted(folder.glob("*.mcap")), "--sample-time", seconds, "--json", "-", code=0)
-    document: Json = json.loads(done.stdout)
-    return document
+    return json.loads(done.stdout)
 
 
 @pytest.mark.parametrize(
@@ -200,7 +198,6 @@ def test_a_run_tells_what_it_drew(tmp_path: Path) -> None:
     drawn = []
     for path in tmp_path.glob("*.mcap"):
         digits = open_recording(path).attachment("entropy.txt")
-        assert digits is not None
         drawn.append(fraction(digits.decode().strip()))
     found = evaluate(tmp_path, 0.05)
     assert found["w1_run_to_run"]["value"] == pytest.approx(10 * abs(drawn[0] - drawn[1]), abs=1e-5)

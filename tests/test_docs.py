@@ -178,7 +178,6 @@ def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
     (project,) = blocks(guide, "toml")
     (tmp_path / "ballistic.py").write_text(adapter)
     found = re.search(r'\[project.entry-points."gsb.simulators"\]\n(.*)\n', project)
-    assert found is not None
     distribution(tmp_path, "ballistic", f"[gsb.simulators]\n{found[1].replace(chr(34), '')}\n")
     environment = {"PYTHONPATH": searched(tmp_path, ROOT)}
     for line in commands(guide):

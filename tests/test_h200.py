@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +28,12 @@ NEWER = sorted(PROTOCOL.glob("*.mcap"))
 
 
 @pytest.fixture(scope="module")
-def tables() -> Any:
-    """docs/make_h200.py."""
-    return script("make_h200")
+def tables() -> Iterator[Any]:
+    """docs/make_h200.py; its evaluate_files evaluates the same files once."""
+    made, once = script("make_h200"), cache(evaluate_files)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(made, "evaluate_files", lambda paths: once(tuple(paths)))
+        yield made
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +104,7 @@ def test_nobody_is_named_whose_runs_are_wrong(tables: Any, evaluation: Any) -> N
     (reproducible,) = [g for g in compared.guidelines if g.need.startswith("reproducible")]
     for level in ("exclude-nondeterministic", "no-autotune", "run-to-run"):
         assert any(level in one for one in reproducible.unranked)
-    for one in (*fastest(evaluation.results), *fastest(evaluate_files(tables.of_protocol(PROTOCOL)).results)):
+    for one in (*fastest(evaluation.results), *fastest(tables.evaluate_files(tables.of_protocol(PROTOCOL)).results)):
         assert one.first is not None
         for speed in filter(None, (one.first, one.second)):
             assert speed.result.group.key.simulator not in ("brax", "calibration")
@@ -109,7 +114,7 @@ def test_nobody_is_named_whose_runs_are_wrong(tables: Any, evaluation: Any) -> N
 @pytest.mark.slow
 def test_six_configurations_meet_the_protocol(tables: Any) -> None:
     """Find of the runs by the protocol those open that the card names, for the reasons that it names."""
-    found = evaluate_files(tables.of_protocol(PROTOCOL)).results
+    found = tables.evaluate_files(tables.of_protocol(PROTOCOL)).results
     unmet = {str(result.label): set(result.timed.unmet.findings) for result in found}
     assert {name.split()[0]: rules for name, rules in unmet.items() if rules} == {
         "brax": {"contacts-at-the-end", "runs"}, "newton": {"contacts-at-the-end", "runs"},
@@ -129,9 +134,9 @@ def test_every_file_is_whole() -> None:
 
 
 @pytest.mark.slow
-def test_sweeps_break_the_rules_that_their_card_names() -> None:
+def test_sweeps_break_the_rules_that_their_card_names(tables: Any) -> None:
     """Find three runs at each number of environments where ten are asked for, and uncounted contacts of PhysX alone."""
-    sweeps = evaluate_files(SWEPT).sweeps
+    sweeps = tables.evaluate_files(SWEPT).sweeps
     assert len({(sweep.key.scene, sweep.label) for sweep in sweeps}) == len(sweeps) == 12  # no sweep falls into parts
     points = [point for sweep in sweeps for point in sweep.points]
     whole = [point.result for point in points if known(point.result.metrics["fps"].value) is not None]
@@ -174,7 +179,6 @@ def test_errors_of_tosses_bar_throughputs_of_more_environments() -> None:
     """Name no configuration fastest with 4,096 environments that breaks mechanics with 48, which begin otherwise."""
     tosses = ROOT / "recordings" / "cube-toss-h100"
     (found,) = fastest(evaluate_files(sorted(tosses.glob("*.mcap"))).results)
-    assert found.first is not None
     options = json.loads(found.first.result.group.key.options)
     assert (found.first.result.group.key.simulator, options["cone"]) == ("warp", "elliptic")
 

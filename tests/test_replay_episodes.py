@@ -54,8 +54,7 @@ def replayed(path: Path, tmp_path: Path, *arguments: object, code: int) -> dict[
     made = tmp_path / "replay.mcap"
     made.unlink(missing_ok=True)
     out = () if "--against" in arguments else ("--out", made)
-    found: dict[str, Any] = json.loads(call("gsb-replay", path, "--json", "-", *out, *arguments, code=code).stdout)
-    return found
+    return json.loads(call("gsb-replay", path, "--json", "-", *out, *arguments, code=code).stdout)
 
 
 def counts(found: dict[str, Any]) -> dict[str, int]:

@@ -286,7 +286,6 @@ def test_mujoco_by_its_own_bindings() -> None:
     pytest.importorskip("mujoco")
     page = (Path(__file__).parent.parent / "docs" / "how-to" / "test-your-simulator.md").read_text(encoding="utf-8")
     found = re.search(r'```python title="test_pendulums.py"\n(.*?)^```', page, re.DOTALL | re.MULTILINE)
-    assert found is not None
     shown: dict[str, Any] = {}
     exec(found[1], shown)
     assert_deterministic(lambda: shown["Pendulums"](2), 100)

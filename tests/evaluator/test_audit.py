@@ -111,30 +111,27 @@ def _recorded(folder: Path, environment: dict[str, str], *arguments: object, pla
 
 
 def _audit(
-    *arguments: object, environment: dict[str, str] | None = None, planted: str = "nothing", cwd: Path | None = None
+    *arguments: object, environment: dict[str, str] | None = None, planted: str = "nothing", **keywords: Any
 ) -> subprocess.CompletedProcess[str]:
     env = {**(environment or dict(os.environ)), "MUJOCO_PLANTED": planted}
-    return call("gsb-audit", *arguments, env=env, cwd=cwd)
+    return call("gsb-audit", *arguments, env=env, **keywords)
 
 
 def _one(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
     document = json.loads(done.stdout)
     assert document["schema_version"] == SCHEMA_VERSION
     (audit,) = document["audits"]
-    found: dict[str, Any] = audit
-    return found
+    return audit
 
 
 def _rung(audit: dict[str, Any], level: str) -> dict[str, Any]:
     (found,) = (rung for rung in audit["rungs"] if rung["level"] == level)
-    rung: dict[str, Any] = found
-    return rung
+    return found
 
 
 def test_the_same_comes_out_on_the_same_machine(small_set: list[Path], tmp_path: Path) -> None:
     """Find MuJoCo C bit-identical here, for the whole of a set, and say what was run and where it is."""
-    done = _audit(*small_set, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = _audit(*small_set, cwd=tmp_path, code=0)
     lines = done.stdout.splitlines()
     verdict = f"Re-execution gives the same bits (bit-identical): {small_set[0].name} and 2 more of its set"
     assert " ".join(done.stdout.split()).startswith(verdict)
@@ -145,7 +142,6 @@ def test_the_same_comes_out_on_the_same_machine(small_set: list[Path], tmp_path:
     (replay,) = (tmp_path / "audit").glob("*.mcap")
     assert f"  replays            complete: {replay.relative_to(tmp_path)}" in lines
     of = open_recording(replay).provenance.replay_of
-    assert of is not None
     assert of.content_hash == open_recording(small_set[0]).content_hash
     assert "replay of run" in done.stderr
 
@@ -157,8 +153,7 @@ def test_another_option_is_found_and_named(small: Path, tmp_path: Path) -> None:
         document["configuration"]["options"]["cone"] = "pyramidal"
 
     forged = forge(small, tmp_path / "forged.mcap", claim)
-    done = _audit(forged, "--out", tmp_path / "out", "--require", "bit-identical", "--all")
-    assert done.returncode == 4, done.stderr
+    done = _audit(forged, "--out", tmp_path / "out", "--require", "bit-identical", "--all", code=4)
     assert "  [ ] bit-identical         0 of 1 replays agree with an original in every bit" in done.stdout
     assert "  differs                   from step " in done.stdout
     assert re.search(r"^engine\.cone +elliptic +pyramidal", done.stdout, re.MULTILINE)
@@ -209,8 +204,7 @@ def test_a_stricter_requirement_fails(plugin: dict[str, str], tmp_path: Path) ->
     """Fail the gate where what is required is refuted, though nothing weaker could be decided."""
     (original,) = _recorded(tmp_path, plugin)
     given = (original, "--out", tmp_path / "here", "--require", "within-ulps", "--ulps", "0")
-    done = _audit(*given, environment=plugin, planted="ulp")
-    assert done.returncode == 4, done.stdout + done.stderr
+    done = _audit(*given, environment=plugin, planted="ulp", code=4)
     assert done.stdout.startswith("Re-execution gives other bits; undecided whether of the same distribution:")
     assert "largest distance 1 ULP over 6 recorded steps; 0 are allowed" in done.stdout
 
@@ -234,8 +228,7 @@ def test_what_cannot_be_replayed_here(small: Path, tmp_path: Path) -> None:
     def elsewhere(document: dict[str, Any]) -> None:
         document["configuration"]["simulator"] = "unheard-of"
 
-    done = _audit(forge(small, tmp_path / "forged.mcap", elsewhere), "--out", tmp_path)
-    assert done.returncode == 5
+    done = _audit(forge(small, tmp_path / "forged.mcap", elsewhere), "--out", tmp_path, code=5)
     assert done.stdout.startswith("No verdict: the replay was refused: forged.mcap\n")
     assert "known: mujoco" in done.stdout
     assert "there is no simulator 'unheard-of'; known: mujoco" in " ".join(done.stdout.split())
@@ -246,8 +239,7 @@ def test_a_replay_that_takes_too_much_is_stopped(plugin: dict[str, str], tmp_pat
     (original,) = _recorded(tmp_path, plugin)
     out = tmp_path / "here"
     done = _audit(original, "--runs", 3, "--out", out, "--json", tmp_path / "a.json", environment=plugin,
-                  planted="threads")  # fmt: skip
-    assert done.returncode == 5, done.stderr
+                  planted="threads", code=5)  # fmt: skip
     assert done.stdout.startswith(f"No verdict: the replay was stopped: {original.name}\n")
     assert "stopped: threads: it had " in done.stdout
     (audit,) = json.loads((tmp_path / "a.json").read_text())["audits"]
@@ -259,8 +251,7 @@ def test_a_replay_that_takes_too_much_is_stopped(plugin: dict[str, str], tmp_pat
 
 def test_a_broken_rule_fails(tmp_path: Path) -> None:
     """Fail where a file is whole but does not say where it comes from, whatever a replay may say."""
-    done = _audit(write_recording(tmp_path, grid(2)), "--out", tmp_path / "here")
-    assert done.returncode == 4
+    done = _audit(write_recording(tmp_path, grid(2)), "--out", tmp_path / "here", code=4)
     assert "; the file breaks integrity-1: " in done.stdout.splitlines()[0]
     assert re.search(r"^  check +integrity-1 is broken\n +provenance: ", done.stdout, re.MULTILINE)
 
@@ -290,8 +281,7 @@ def test_damaged_files_are_named_and_others_audited(small: Path, tmp_path: Path)
 )
 def test_arguments_that_cannot_be(small: Path, given: tuple[str, str], said: str) -> None:
     """Refuse arguments that make no audit, before anything is run."""
-    done = _audit(small, *given)
-    assert done.returncode == 2
+    done = _audit(small, *given, code=2)
     assert said in done.stderr
 
 
@@ -412,8 +402,7 @@ def test_a_part_of_a_recording_is_said_to_be_one(tmp_path_factory: pytest.TempPa
     # without a view, which a forger of names and origins would have to forge, too
     assert call("gsb-record", "--sim", "mujoco", "--no-view", *given, "--out", folder).returncode == 0
     (whole,) = folder.glob("*.mcap")
-    done = _audit(whole, "--phases", "timed", "--out", tmp_path / "timed")
-    assert done.returncode == 5, done.stdout + done.stderr
+    done = _audit(whole, "--phases", "timed", "--out", tmp_path / "timed", code=5)
     said = " ".join(done.stdout.split())
     assert "1 of 1 replays agree with an original in the 2 state hashes of the timed phase; not everything" in said
     assert "1 original, 1 distinct by state hashes; 1 replay, 1 distinct; 1 distinct together" in done.stdout
@@ -426,8 +415,7 @@ def test_a_part_of_a_recording_is_said_to_be_one(tmp_path_factory: pytest.TempPa
         document["env_origins"] = [[1.0, 0.0, 0.0]] * 2
 
     names = forge(whole, tmp_path / "names.mcap", renamed, attachment=SIMULATION)
-    refused = _audit(names, "--out", tmp_path / "out")
-    assert refused.returncode == 3
+    refused = _audit(names, "--out", tmp_path / "out", code=3)
     assert "simulation.json disagree on items" in refused.stderr
     origins = forge(whole, tmp_path / "origins.mcap", elsewhere, attachment=SIMULATION)
     audit = _one(_audit(origins, "--out", tmp_path / "out", "--json", "-"))

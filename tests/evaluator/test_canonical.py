@@ -283,7 +283,6 @@ def test_the_smallest_changes_are_seen_95_times_in_100() -> None:
         before = rng.normal(0.0, sigma, n)
         least, breaks = showing_move(before, variation(predicted)), breaking_move(before, variation(predicted), 0.2)
         assert least is not None
-        assert breaks is not None
 
         def after(move: float) -> NDArray[np.float64]:
             return rng.normal(0.0, sigma, n) + move * predicted
@@ -307,8 +306,6 @@ def test_the_smallest_changes_solve_their_equations(uneven: float) -> None:
     n, k = len(off), max(uneven, 0.1)
     s = off.std(ddof=1) / math.sqrt(n) * math.sqrt((n - 1) / chi2.ppf(0.05, n - 1))  # its upper 95 % limit
     shown, breaks = showing_move(off, uneven), breaking_move(off, uneven, tolerance)
-    assert shown is not None
-    assert breaks is not None
     q = t.ppf(0.975, 2 * n - 2) + t.ppf(0.95, 2 * n - 2)
     assert shown == pytest.approx(q * math.sqrt(math.pi / 3) * math.sqrt(2 * s**2 + k**2 * shown**2 / n))
     q = t.ppf(0.975, n - 1) + t.ppf(0.95, n - 1)

@@ -126,7 +126,6 @@ def test_every_environment_begins_with_a_closed_loop(tmp_path: Path) -> None:
         recording.state("robot", name).read(slice(0, 1), slice(None))[0, :, :, 0] for name in ("qpos", "qvel")
     )
     robot = make_scene("four-bar").robot
-    assert robot is not None
     drawn = np.stack([qpos[:, 0] - robot.start[0], qvel[:, 0] - robot.speeds()[0]])
     share = np.array([[0.4], [0.8]])
     assert (np.abs(drawn) <= share + 1e-12).all() and (np.ptp(drawn, axis=1, keepdims=True) > share).all()
@@ -208,7 +207,6 @@ def _written(path: Path, scene: Scene, crank: np.ndarray, side: np.ndarray) -> P
     coupler, rocker = (side * angle for angle in bars.angles(side * crank))
     qpos = np.stack([crank, coupler - crank, rocker], axis=-1)[:, None, :, None]
     qvel = np.broadcast_to(np.array([5.0, -5.0, 0.0])[:, None], qpos.shape)
-    assert scene.robot is not None
     names = tuple(joint.name for joint in scene.robot.joints())
     fields = tuple(joint_field("robot", name, "float64", names) for name in ("qpos", "qvel"))
     with RecordingWriter(

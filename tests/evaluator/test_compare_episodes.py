@@ -237,7 +237,6 @@ def test_values_without_spread_need_no_test(envs: tuple[int, int], head: float, 
     """Judge two values by the threshold of 5 % where all episodes of a side have one."""
     sides = np.full((envs[0], 2), 1.0), np.full((envs[1], 2), head)
     found = _compared("return", *sides, (1, 1), Settings(gates=frozenset()), together=False, even=True)
-    assert isinstance(found, Finding)
     assert found.change is change
     assert f"({envs[0] if envs[0] == envs[1] else f'{envs[0]} and {envs[1]}'} environments; not paired)" in found.method
 

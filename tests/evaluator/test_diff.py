@@ -105,10 +105,8 @@ def test_a_difference_is_found_where_it_was_put(
         found = compare(a, b)
         expected = a.state("cubes", "position").at_step(-(-since // stride) * stride)[where]
     first = found.first
-    assert first is not None
     assert (first.step_a, first.step_b, first.after_step, first.envs) == (since, since, since - 1, 1)
     assert (first.env_a, first.env_b, first.time) == (env, env, pytest.approx(since * 0.01))
-    assert first.state is not None
     assert first.state.step == -(-since // stride) * stride
     assert first.located == (since % stride == 0)
     number = first.state.number
@@ -196,8 +194,6 @@ def test_zeros_and_payloads_are_bits(tmp_path: Path) -> None:
     found = compare(a, record(tmp_path, with_numbers(-0.0, 0x7FC00005)))
     (field,) = found.compared.fields
     assert (field.different, field.signed_zeros, field.nan_payloads, field.not_finite) == (14, 7, 7, 7)
-    assert found.first is not None
-    assert found.first.state is not None
     assert (found.first.step_a, found.first.state.number.distance, found.max_ulp) == (2, 0.0, 5)
     assert not isinstance(found.growth, Missing)
     assert found.growth.not_finite_from == 2
@@ -233,7 +229,6 @@ def test_trajectories_that_meet_again(tmp_path: Path) -> None:
     splits = found.splits
     assert splits.distinct_both == (Change(0, 1), Change(3, 2), Change(4, 1))
     assert ((splits.classes_a, splits.classes_b), (splits.last_a, splits.last_b)) == (((0,), (1,)), ((0,), (0,)))
-    assert found.first is not None
     assert (found.first.step_a, found.first.state, found.max_ulp) == (3, None, 0)
 
 
@@ -242,10 +237,8 @@ def test_two_environments_and_all(tmp_path: Path) -> None:
     a = record(tmp_path, changed(still(4), 5, by_ulps(2, 3, 1, 0)))
     assert compare_envs(a, 0, 2).bit_identical
     pair = compare_envs(a, 1, 3)
-    assert pair.first is not None
     assert (pair.first.env_a, pair.first.env_b, pair.max_ulp) == (1, 3, 2)
     everything = compare_all_envs(a)
-    assert everything.first is not None
     assert (everything.first.step_a, everything.first.env_a, everything.first.env_b) == (5, 0, 3)
     assert (everything.compared.n_env, everything.first.envs) == (3, 1)
     b = record(tmp_path, still(4))
@@ -282,8 +275,6 @@ def test_origins_are_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     b = record(tmp_path, changed(base, 2, lambda p: p[2, 7, 1:2].__iadd__(0.002)), origins=origins)
     first = compare_all_envs(b).first
-    assert first is not None
-    assert first.state is not None
     assert (first.step_a, first.env_b, first.state.items) == (2, 2, (cubes_field("float32").items[7],))
     assert first.state.number.distance == pytest.approx(0.002, abs=1e-4)
     assert first.state.number.resolution == pytest.approx(float(np.spacing(np.float32(900))))
@@ -314,8 +305,6 @@ def test_float32_and_float64(tmp_path: Path) -> None:
         return changed(lambda s: still()(s).astype("float64"), 6, lambda p: p[1, 2].__iadd__(1e-3))(step)
 
     first = compare(a, record(tmp_path, moved)).first
-    assert first is not None
-    assert first.state is not None
     assert (first.step_a, first.env_a, first.state.number.component) == (6, 1, "x")
     assert first.state.number.distance == pytest.approx(1e-3, rel=1e-3)
 
@@ -329,7 +318,6 @@ def test_time_steps_of_a_ratio(tmp_path: Path) -> None:
     assert found.compared.state_steps == StepRange(STEPS + 1, 0, STEPS)
     assert "dt" in {s.name for s in found.settings}
     late = compare(a, record(tmp_path, changed(lambda s: still()(s // 2), 10, by_ulps(1, 0, 0, 0)), dt=0.01, steps=16))
-    assert late.first is not None
     assert (late.first.step_a, late.first.step_b, late.first.time) == (5, 10, 0.1)
     with pytest.raises(NothingComparable, match="simulated times"):
         compare(a, record(tmp_path, still(), dt=0.02 * np.pi))
@@ -356,7 +344,6 @@ def test_what_is_common_is_compared(tmp_path: Path) -> None:
     assert "different items" in found.compared.hash_steps_missing
     assert "state.cubes/position.items" in {s.name for s in found.settings}
     # the scene's initial state is in the order of its own names
-    assert found.first is not None
     assert (found.first.step_a, found.compared.fields[0].numbers) == (0, 2 * 26 * 3 * 5)
     assert [f.first_step for f in compare(a, record(tmp_path, still(2))).compared.fields] == [None]
 
@@ -418,9 +405,6 @@ def test_contacts_at_the_divergence(tmp_path: Path) -> None:
     counts = [Shown({"capture": {"contacts": np.arange(STEPS * 3).reshape(STEPS, 3) + more}}) for more in (0, 6)]
     a = record(tmp_path, still(), shown=counts[0])
     first = compare(a, record(tmp_path, changed(still(), 4, by_ulps(1, 0, 0, 0)), shown=counts[1])).first
-    assert first is not None
-    assert first.contacts_a is not None
-    assert first.contacts_b is not None
     assert (first.contacts_a.mean, first.contacts_a.max) == (10, 11)
     assert (first.contacts_b.mean, first.contacts_b.max) == (16, 17)
 
@@ -517,7 +501,6 @@ def test_blocks_of_many_environments(tmp_path: Path) -> None:
     a = record(tmp_path, still(160), steps=130, compression="zstd")
     b = record(tmp_path, changed(still(160), since, by_ulps(-1, env, 26, 2)), steps=130, compression="zstd")
     found = compare(a, b)
-    assert found.first is not None
     assert (found.first.step_a, found.first.env_a, found.max_ulp) == (since, env, 1)
     assert found.compared.fields[0].different == 11
     assert found.splits.distinct_both == (Change(0, 1), Change(since, 2))
@@ -541,16 +524,13 @@ def test_environments_of_shipped_recordings(name: str, step: int | None, classes
     """Find the classes of environments of engines whose regimes are known."""
     found: Difference = compare_all_envs(h200(name))
     assert (found.first.step_a if found.first else None) == step
-    assert found.splits.distinct_both is not None
     assert found.splits.distinct_both[-1].count == classes
 
 
 def test_shipped_runs_by_hashes() -> None:
     """Date the first difference of two runs to a step whose state was not recorded, from their hashes."""
     found = compare(h200("warp-inclined-collision-n16-r0"), h200("warp-inclined-collision-n16-r1"))
-    assert found.first is not None
     assert (found.first.step_a, found.first.by_hashes, found.first.located) == (2, True, False)
-    assert found.first.state is not None
     assert found.first.state.step == 250
 
 
@@ -644,11 +624,9 @@ def test_a_rotation_has_two_signs(tmp_path: Path, capsys: pytest.CaptureFixture[
     a, b = turned(tmp_path / "a", 1), turned(tmp_path / "b", -1)
     found = compare(a, b)
     (field,) = found.compared.fields
-    assert found.first is not None
     assert (found.verdict, found.same_rotations) == (DiffVerdict.DIFFERENT, True)
     assert (field.max_distance, field.other_sign) == (0.0, field.different)
     state = found.first.state
-    assert state is not None
     assert (state.number.other_sign, state.number.distance) == (True, 0.0)
     assert diff_command([str(a.path), str(b.path)]) == 4
     shown = " ".join(capsys.readouterr().out.split())

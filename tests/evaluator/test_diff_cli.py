@@ -54,7 +54,6 @@ def test_a_difference_in_words(pair: tuple[str, str], capsys: pytest.CaptureFixt
     assert out.startswith(verdict)
     assert "1 of 3 pairs of envs differ at that step, first in env 1" in shown
     number = re.search(r"cubes/position of cube_0_1_1, x: (\S+) and (\S+) m \((\S+), (\S+)\): (\S+) ULP", shown)
-    assert number is not None
     a, b = float(number[1]), float(number[2])
     assert (b - a, number[3]) == (pytest.approx(1e-9, rel=1e-6), f"0x{np.float64(a).view(np.uint64):016x}")
     assert float(number[5]) == pytest.approx((b - a) / np.spacing(a), rel=0.01)

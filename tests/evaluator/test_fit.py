@@ -81,7 +81,6 @@ def test_search() -> None:
     assert made[0].options == {"a": "1", "b": "1 0.1"}
     assert len({tuple(one.options.values()) for one in made}) == len(made)
     best = best_of(made)
-    assert best is not None
     assert not isinstance(best.error, Missing)
     assert best.error < 1.02
     assert float(best.options["a"]) == pytest.approx(0.4, rel=0.1)
@@ -109,7 +108,6 @@ def test_options_that_fail() -> None:
     made = search(_START, guarded, 60)
     assert any(one.error is refused for one in made)
     best = best_of(made)
-    assert best is not None
     assert not isinstance(best.error, Missing)
     assert best.error < 1.1
     rows = list(csv.reader(dump_csv(made).splitlines()))
@@ -201,7 +199,6 @@ def test_judged_by_odd_tosses(fitted: Path) -> None:
     record = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
     (held_out,) = (one for one in record["compared"] if (one["quantity"], one["tosses"]) == ("position", ODD))
     assert [one.error for one in order] == [pytest.approx(held_out[name]) for name in ("after", "before")]
-    assert order[1].against is not None
     assert order[1].against.cases == 24
     assert order[1].against.mean == pytest.approx(-held_out["change"]["mean"])
     assert "fitted friction to even tosses" in by[True].label
@@ -220,7 +217,6 @@ def test_no_toss_is_left() -> None:
     ):
         (path,) = recorded(*shared, *arguments)
         found = errors_of(Recording(path), measured)
-        assert isinstance(found, Missing)
         assert said in found.reason
 
 

@@ -38,7 +38,6 @@ assert _ACTIONS is not None
 
 
 def _drawn(steps: int, streams: Streams, seed: int = 0) -> NDArray[np.float32]:
-    assert _ACTIONS is not None
     return _ACTIONS.draw(seed, n_env=len(streams.env), first_step=0, n_step=steps, streams=streams)
 
 
@@ -256,7 +255,6 @@ def test_actions_that_no_file_of_this_size_has(steps: int, n_env: int, tmp_path:
     sink = Sink(tmp_path / "run.mcap", compression="zstd")
     sink.channel("/run/padding", "gsb.v1.Event")
     sink.write("/run/padding", bytes(60 << 20))
-    assert _ACTIONS is not None
     sink.channel(_TOPIC, "gsb.v1.ActionBlock", {GENERATOR: _ACTIONS.describe(0, Streams.usual(0))})
     block = message_class("gsb.v1.ActionBlock")(steps=steps, envs=n_env, width=7, stride=1, encoding=2)
     sink.write(_TOPIC, block.SerializeToString())

@@ -35,7 +35,6 @@ def read(path: Path) -> Run:
 def test_a_line_is_its_own_growth() -> None:
     """Give the growth of a straight line exactly, of several runs the median; p as Mann and Kendall have it."""
     found = growth([np.array([10.0, 11.0, 12.0, 13.0, 14.0]), np.array([1.0, 1.1, 1.2, 1.3, 1.4])])
-    assert found is not None
     assert found.share == pytest.approx(4 / 12)
     assert found.p_value == pytest.approx(0.0005, rel=0.01)  # S = 20, Var S = 2 x 50/3: z = 19 / 5.77
 

@@ -55,11 +55,9 @@ def test_a_change_among_noise_is_told_by_geometric_means() -> None:
     before, after = (math.exp(np.log(part).mean()) for part in (values[:8], values[8:]))
     assert (shift.point, shift.previous, shift.change) == (18, 17, Change.REGRESSION)
     assert (shift.before, shift.after, shift.ratio) == pytest.approx((before, after, after / before))
-    assert shift.ci95 is not None
     assert shift.ci95[0] < 0.5 < shift.ci95[1]
     assert shift.ci95[1] / shift.ci95[0] < 1.05
     assert 0 < shift.p_value <= 0.05
-    assert found.visible is not None
     assert found.sighted is not None
     assert 1.02 < found.visible < found.sighted < 1.2
     further = searched(curve(FPS, [*values, after / found.visible * 0.999], logs=True), 0.05, SETTINGS)
@@ -71,7 +69,6 @@ def test_amounts_are_told_in_their_unit() -> None:
     values = [0.0, 2.0, 1.0, 2.0, 0.0, 1.0]
     found = searched(curve(HOST, values), 0.05, SETTINGS)
     in_bytes = searched(curve(METRICS["distinct_runs"], [v * MB for v in values]), 0.05, SETTINGS)
-    assert found.visible is not None
     assert in_bytes.visible == pytest.approx(found.visible * MB)
     assert 4.0 < found.visible < 20.0
     assert visible(found).endswith(" MB")

@@ -60,7 +60,6 @@ def _maker(given: ModelScene | None = None, engine: str = "mujoco") -> Callable[
 
 def _fallen(scene: ModelScene, make: Callable[[Scene, int], Simulator]) -> Drop:
     drop = dropped(scene, make, dt=scene.dt)
-    assert drop is not None
     return Drop.decoded(drop.encoded())
 
 

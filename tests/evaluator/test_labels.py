@@ -323,7 +323,6 @@ def test_options_that_an_engine_tells_by_another_name() -> None:
     """Tell no group apart by an option that was given the value that is in force without it, and alias no option that
     there is not."""
     recording = open_recording(Path(__file__).parents[2] / "recordings" / "humanoid" / "genesis-cpu.mcap")
-    assert recording.simulation is not None
     assert recording.configuration.options == {"solver": recording.simulation.options["constraint_solver"]}
     assert "solver" not in json.loads(key_of(recording).options)
     for simulator, names in TOLD_AS.items():

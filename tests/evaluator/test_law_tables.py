@@ -276,7 +276,6 @@ def test_a_heavy_face_comes_to_lie_below(tmp_path: Path) -> None:
 def test_the_power_by_probabilities_is_that_of_the_claim() -> None:
     """Give the size that the law claims the power that it claims it with, and equal faces its level."""
     claim = uniformity([64] * 6, alpha=1e-3, power=0.95)
-    assert claim is not None
     one = np.array([1.0 + claim.least] + [1.0 - claim.least / 5.0] * 5) / 6.0
     assert power(one, 384, claim.critical) == pytest.approx(0.95, abs=1e-6)
     assert power(np.full(6, 1.0 / 6.0), 384, claim.critical) == pytest.approx(1e-3, rel=1e-3)

@@ -71,7 +71,6 @@ def test_shipped_recordings_against_scipy(name: str) -> None:
     recordings = [Recording(path) for path in paths]
     runs = np.array([r.state("cubes", "position").at_step(500) for r in recordings], dtype=np.float64)
     simulation = recordings[0].simulation
-    assert simulation is not None
     if simulation.env_origins:
         runs -= np.array(simulation.env_origins)[:, None]
     beside = (runs[..., 0] < 0) | (runs[..., 0] > 0.6) | (np.abs(runs[..., 1]) > 0.3)

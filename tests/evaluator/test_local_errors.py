@@ -118,7 +118,6 @@ def test_local_errors(evaluation: Evaluation, runs: dict[str, Path]) -> None:
             details = estimate.of(OverTosses)
             assert details.rows == rows
             assert estimate.n == details.tosses == len(details.per_toss)
-            assert estimate.ci95 is not None
             assert estimate.ci95[0] < (known(estimate.value) or 0) < estimate.ci95[1]
             floor = details.tracking_floor
             assert (floor is None) == (rows == 100)
@@ -135,9 +134,7 @@ def test_set_states_are_no_merit(evaluation: Evaluation) -> None:
         assert isinstance(whole, Missing) == taught
         assert isinstance(w1, Missing) == taught
         if taught:
-            assert isinstance(whole, Missing)
             assert "it has local errors" in whole.reason
-            assert isinstance(w1, Missing)
             assert "set to the reference's states" in w1.reason
             assert not any(result.fidelity.of(verdict) for verdict in (CheckVerdict.BROKEN, CheckVerdict.HELD))
         # a label says how often, and no digest of what follows from that
@@ -174,15 +171,12 @@ def test_why_not(reference: Path, runs: dict[str, Path]) -> None:
     measured = measured_tosses(Recording(reference))
     assert measured is not None
     free = local_errors_of(Recording(runs["free"]), measured)
-    assert isinstance(free, Missing)
     assert "record with --intervene teacher@STEPS" in free.reason
     (late,) = recorded(*_SHARED, "--intervene", "teacher@400")
     found = local_errors_of(Recording(late), measured)
-    assert isinstance(found, Missing)
     assert "the longest toss has" in found.reason
     (short,) = recorded(*_SHARED, "--intervene", "teacher@10", "--steps", "40")
     found = local_errors_of(Recording(short), measured)
-    assert isinstance(found, Missing)
     assert "it ends after row 40" in found.reason
     whole = errors_of(Recording(runs["10"]), measured)
     assert isinstance(whole, Missing)
@@ -215,9 +209,7 @@ def test_set_to_something_else(
     changed = arrays.encode(change(arrays.decode(GIVEN, recording.attachment(GIVEN) or b"")))
     monkeypatch.setattr(recording, "attachment", lambda name: changed)
     found = local_errors_of(recording, measured)
-    assert isinstance(found, Missing)
     assert said in found.reason
     monkeypatch.setattr(recording, "attachment", lambda name: b"PK")
     found = local_errors_of(recording, measured)
-    assert isinstance(found, Missing)
     assert "no archive of arrays" in found.reason

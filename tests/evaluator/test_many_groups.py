@@ -57,7 +57,6 @@ def closed(section: Section) -> list[Section]:
 def test_validity_shows_what_deviates_and_closes_the_list(source: Source) -> None:
     """Show the INVALID group and a row for each simulator; have all groups in a closed part."""
     section = validity.section(source)
-    assert section is not None
     shown = own(section)
     assert list(shown) == ["validity-deviating", "validity-simulators"]
     (deviating,) = rows_of(shown["validity-deviating"]).values()
@@ -74,7 +73,6 @@ def test_validity_shows_what_deviates_and_closes_the_list(source: Source) -> Non
 def test_validity_of_few_groups_is_one_table(alone: Source) -> None:
     """List three groups at once, with each counter on a line of its own."""
     section = validity.section(alone)
-    assert section is not None
     assert list(own(section)) == ["validity"]
     assert not closed(section)
     (cell, *_) = [row["counted"] for row in rows_of(own(section)["validity"]).values()]
@@ -85,7 +83,6 @@ def test_validity_of_few_groups_is_one_table(alone: Source) -> None:
 def test_recordings_are_counted_by_simulator_and_listed_below(source: Source, alone: Source) -> None:
     """Count files and what is not complete; have every file with its hash in a closed part; list few at once."""
     section = provenance.every_file(source)
-    assert section is not None
     assert section.summary == "13 files, 1 not complete"
     counted = rows_of(own(section)["recordings-simulators"])
     assert counted["other"]["status"].text == "6 complete, 1 INVALID (buffer)"
@@ -95,7 +92,6 @@ def test_recordings_are_counted_by_simulator_and_listed_below(source: Source, al
     hashes = {run.content_hash for r in source.evaluation.results for run in r.group.recordings}
     assert {row.cells[4].text for row in every.rows} == hashes
     few = provenance.every_file(alone)
-    assert few is not None
     assert list(own(few)) == ["recordings"]
 
 
@@ -115,7 +111,6 @@ def test_runs_of_one_machine_are_named_by_ranges(tmp_path: Path) -> None:
         write_recording(tmp_path, grid(1), run=run, cpu="a" if run < 5 else "b")
     found = evaluate_files(sorted(tmp_path.glob("*.mcap")))
     section = provenance.section(Source(found, False, ""))
-    assert section is not None
     titles = [part.title for part in walk(section.blocks) if isinstance(part, Section)]
     said = [title for title in titles if title.startswith("Machine and software")]
     assert said == ["Machine and software of runs 0\u20134", "Machine and software of run 5"]
@@ -124,7 +119,6 @@ def test_runs_of_one_machine_are_named_by_ranges(tmp_path: Path) -> None:
 def test_a_scene_without_a_complete_run_has_no_table(source: Source) -> None:
     """Say in a line that nothing was timed, in place of tables of dashes."""
     section = throughput.section(source)
-    assert section is not None
     assert {block.key for block in walk(section.blocks) if isinstance(block, Table)} == {
         "throughput",
     }
@@ -135,7 +129,6 @@ def test_a_scene_without_a_complete_run_has_no_table(source: Source) -> None:
 def test_columns_that_are_empty_for_one_reason_share_a_line(alone: Source) -> None:
     """Name all columns that no group has anything in, once for each reason."""
     section = throughput.section(alone)
-    assert section is not None
     lines = [item.text for block in section.blocks if isinstance(block, Items) for item in block.items]
     reasons = [line.partition(": ")[2] for line in lines if line.startswith("no ")]
     assert reasons

@@ -82,18 +82,6 @@ def test_figures_are_finite(sweep: tuple[list[int], list[float]]) -> None:
     assert model.worst_n in model.n
 
 
-def test_standard_errors_cover_the_truth() -> None:
-    """Lie within two standard errors of the truth about as often as Student's t says, for noise of a few percent."""
-    n_env = [2**k for k in range(4, 16)]
-    rng = np.random.default_rng(0)
-    inside = 0
-    for _ in range(400):
-        measured = [(3e8 + 2e5 * n) * (1 + 0.03 * rng.standard_normal()) for n in n_env]
-        model = fit_memory(n_env, measured)
-        inside += abs(model.per_env - 2e5) < 2.228 * model.per_env_se  # t at 10 degrees of freedom
-    assert 0.90 < inside / 400 < 0.99
-
-
 def test_doubling_allocators_break_the_model() -> None:
     """Say that the line does not hold where memory grows in steps of powers of two."""
     n_env = [100 * k for k in range(1, 12)]

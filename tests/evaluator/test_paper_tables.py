@@ -11,9 +11,8 @@ import pytest
 from gpusimbench.evaluator.cli.eval import main
 from gpusimbench.evaluator.render.document import table
 from gpusimbench.evaluator.render.formats import Format
-from gpusimbench.evaluator.render.markdown import table_markdown
 from gpusimbench.evaluator.render.numbers import mean_sd
-from gpusimbench.evaluator.render.table_files import as_csv, as_latex, table_files
+from gpusimbench.evaluator.render.table_files import as_latex, table_files
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
@@ -79,14 +78,6 @@ def test_formats_are_files(evaluation: Evaluation) -> None:
     assert {Path(name).suffix for name in files} == {".csv", ".md"}
     rows = list(csv.DictReader(io.StringIO(files["throughput.csv"].decode(), newline="")))
     assert {r["group"].split(";")[0][:5] for r in rows} == {"one", "'=cmd"}
-
-
-def test_hostile_names(evaluation: Evaluation) -> None:
-    """Escape what a simulator calls itself in every format."""
-    table = tables_of(evaluation)["throughput"]
-    assert "\n\"'=cmd" in as_csv(table)
-    assert r"\[x](http&#58;//x)" in table_markdown(table)
-    assert r"\textbackslash{}input\{a\} \% \textless{}b" in as_latex(table)
 
 
 def test_long_texts_are_paragraphs() -> None:

@@ -190,7 +190,6 @@ def test_descent_finds_way_and_foot(angle: float, turn: float) -> None:
     slope = FixedBox(np.array([3.0, -2.0, 1.0]), rotation, np.array([0.5, 0.2, 0.05]))
     start = slope.centre + rotation @ np.array([0.4, 0.0, 0.05 + 0.02])
     way = descent(slope, start, 0.02, 9.81)
-    assert way is not None
     assert way.length == pytest.approx(0.1)
     assert way.acceleration == pytest.approx(5 / 7 * 9.81 * math.sin(math.radians(angle)))
     assert way.enough == pytest.approx(2 / 7 * math.tan(math.radians(angle)))

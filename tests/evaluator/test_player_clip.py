@@ -74,7 +74,6 @@ def test_one_environment_stands_for_a_class(tmp_path: Path) -> None:
     """Show an environment of each class, every step around the first divergence, and say the rest in words."""
     clip = make_clip([Recording(diverging(tmp_path))])
     assert [track.label for track in clip.tracks] == ["env 0", "env 2", "env 3"]
-    assert clip.changes is not None
     assert clip.changes.splits.tolist() == [40, 60]
     assert set(range(28, 64)) <= set(clip.tracks[0].steps.tolist())
     assert len(clip.tracks[0].steps) < 101

@@ -86,7 +86,6 @@ def test_a_damaged_geometry(tmp_path: Path) -> None:
 def test_faces_look_outward(shape: Shape, volume: float) -> None:
     """Close the surface of a shape by faces that enclose its volume, but for the corners of what is round."""
     found = facets_of(shape)
-    assert found is not None
     points = np.array(found[0])
     enclosed = sum(
         points[a] @ np.cross(points[b], points[c]) / 6

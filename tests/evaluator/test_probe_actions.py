@@ -94,7 +94,6 @@ def test_actions_go_along(sound: dict[str, Recording]) -> None:
 def test_other_actions_are_not_compared(sound: dict[str, Recording]) -> None:
     """Compare no environments that were given other actions, as in recordings whose actions stayed in their slots."""
     same_slot = compare_pairs(Pairs(sound["usual"], sound["shifted"], ((0, 0),)))
-    assert isinstance(same_slot, Missing)
     assert same_slot.reason == "the environments that would be compared were given other actions"
     later = Pairs(sound["reset"], sound["plain"], ((1, 1),), ahead=AT, first=1)  # which was not reset
     assert isinstance(compare_pairs(later), Missing)
@@ -111,7 +110,6 @@ def test_actions_that_stay_behind(
     assert found["runs"].answer is Answer.YES
     assert {name for name, finding in found.items() if finding.answer is Answer.NO} == {key}
     difference = found[key].found
-    assert difference is not None
     assert difference.first_step is not None
 
 

@@ -10,7 +10,7 @@ import pytest
 from gpusimbench.evaluator.inputs.reader import read_run
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.results.reference import Reference, References, references
+from gpusimbench.evaluator.results.reference import References, references
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.provenance import REAL
 
@@ -32,7 +32,6 @@ def trials(run: Run, scene: str) -> Run:
 def scene_of(found: References, scene: str) -> str:
     """The scene of the reference that a scene is compared with."""
     reference = found.of(scene)
-    assert isinstance(reference, Reference)
     return reference.scene
 
 

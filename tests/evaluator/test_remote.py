@@ -502,10 +502,7 @@ def test_checked_as_a_whole(memory: Any, large: list[Path]) -> None:
     remote_one, local = examine(_put(memory, large[0])), examine(large[0])
     assert remote_one.problems.kinds() == local.problems.kinds()
     assert remote_one.complete
-    assert remote_one.scan is not None
-    assert local.scan is not None
     assert remote_one.scan.counts == local.scan.counts
-    assert remote_one.recording is not None
     assert str(remote_one.recording.path) == str(remote_one.path) == f"memory://set/{large[0].name}"
     verify(remote_one.recording)
 

@@ -46,8 +46,7 @@ def words_of(card: Path) -> str:
 def front_matter(card: Path) -> dict[str, Any]:
     """The YAML at the top of a card."""
     _, head, _ = card.read_text().split("---\n", 2)
-    found: dict[str, Any] = yaml.safe_load(head)
-    return found
+    return yaml.safe_load(head)
 
 
 def test_sums_are_those_of_sha256sum(made: Path) -> None:

@@ -34,8 +34,7 @@ def made(folder: Path, *sets: Path | str, code: int = 0) -> dict[str, Any]:
     """The document of a leaderboard of some recordings."""
     out = folder / "board"
     assert main(["leaderboard", *map(str, sets), "--out", str(out), "--no-cache"]) == code
-    found: dict[str, Any] = json.loads((out / "leaderboard.json").read_text())
-    return found
+    return json.loads((out / "leaderboard.json").read_text())
 
 
 def rows(document: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -47,8 +47,7 @@ def findings(where: Path | str, capsys: pytest.CaptureFixture[str], code: int) -
     """What verify finds, in its JSON."""
     capsys.readouterr()
     assert main(["verify", str(where), "--json", "-"]) == code
-    found: list[dict[str, str]] = json.loads(capsys.readouterr().out)["findings"]
-    return found
+    return json.loads(capsys.readouterr().out)["findings"]
 
 
 def test_a_set_is_what_it_says(made: Path, capsys: pytest.CaptureFixture[str]) -> None:

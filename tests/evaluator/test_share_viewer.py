@@ -215,12 +215,10 @@ def test_it_needs_no_other_package(tmp_path: Path) -> None:
 
 def test_the_command(tmp_path: Path) -> None:
     """Write a view and its layout, and say what is in it."""
-    done = share("viewer", SHIPPED, "--out", tmp_path / "v.mcap", "--layout", tmp_path / "layout.json")
-    assert done.returncode == 0, done.stderr
+    done = share("viewer", SHIPPED, "--out", tmp_path / "v.mcap", "--layout", tmp_path / "layout.json", code=0)
     assert "30 shapes, 28 moving frames at 126 times in 5 s" in done.stdout
     assert json.loads((tmp_path / "layout.json").read_text()) == layout_of(tmp_path / "v.mcap")
-    again = share("viewer", SHIPPED, "--out", tmp_path / "v.mcap")
-    assert again.returncode == 2
+    again = share("viewer", SHIPPED, "--out", tmp_path / "v.mcap", code=2)
     assert "exists already" in again.stderr
 
 
@@ -228,16 +226,14 @@ def test_a_layout_whose_name_is_taken(tmp_path: Path) -> None:
     """Refuse it before anything is written, and one of the same name as the view."""
     (tmp_path / "layout.json").write_text("{}")
     for layout in ("layout.json", "v.mcap"):
-        done = share("viewer", SHIPPED, "--out", tmp_path / "v.mcap", "--layout", tmp_path / layout)
-        assert done.returncode == 2, done.stderr
+        share("viewer", SHIPPED, "--out", tmp_path / "v.mcap", "--layout", tmp_path / layout, code=2)
         assert [p.name for p in tmp_path.iterdir()] == ["layout.json"]
 
 
 def test_a_view_of_a_file_cut_short(tmp_path: Path) -> None:
     """Show what is there, say that it is not all, and end with 3."""
     cut = write_recording(tmp_path, grid(1), end=False)
-    done = share("viewer", cut, "--out", tmp_path / "v.mcap")
-    assert done.returncode == 3, done.stdout + done.stderr
+    done = share("viewer", cut, "--out", tmp_path / "v.mcap", code=3)
     assert "cut short" in done.stderr
 
 

@@ -436,7 +436,6 @@ def test_rules_are_css() -> None:
     shown = root.find("{*}text")
     line = root.find("{*}path")
     assert shown is not None
-    assert line is not None
     assert [shown.get(k) for k in ("font-size", "text-anchor", "fill")] == [
         "10.5",
         "end",

@@ -231,7 +231,6 @@ def test_radar_at_n_max(tmp_path: Path) -> None:
     assert figures["narrow"].fps == pytest.approx(3e3)
     assert figures["wide"].memory_gb == pytest.approx(0.516)
     assert figures["narrow"].run_to_run == pytest.approx(1.0)
-    assert comparison.radar is not None
     assert comparison.radar.values["wide"][Axis.PARALLELISM] == 1.0
     picks = {g.need: g.pick for g in comparison.guidelines}
     assert picks["large parallelism with simple agents"] == "narrow"
@@ -283,7 +282,6 @@ def test_a_real_sweep(tmp_path: Path, gsb_record: Command) -> None:
     assert (sweep.n_max, sweep.ends, sweep.label) == (4, "largest N in these recordings", "mujoco")
     assert set(sweep.models) == {"host_memory_peak_increment"}
     contacts = sweep.points[-1].result.validity.of("contacts")
-    assert contacts is not None
     assert contacts.max > 0
 
 

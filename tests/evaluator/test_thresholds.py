@@ -75,7 +75,6 @@ def test_permutations_of_the_floor(
     a, b = _envs(points[0]), _envs(points[1], seed=1)
     w1 = floor(a, b, serial).w1
     if permutations is None:
-        assert isinstance(w1, Missing)
         assert w1.reason.startswith(f"{max(points)} points a side are too many")
     else:
         assert not isinstance(w1, Missing)
@@ -108,7 +107,6 @@ def test_points_of_the_energy_distance(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.v_statistic in (pytest.approx(100 * squared), pytest.approx(10 * math.sqrt(squared)))
     assert found.n_permutation == permutation._ENERGY_PERMUTATIONS
     more = floor(a, _envs(4, 2, seed=1), serial).energy
-    assert isinstance(more, Missing)
     assert more.reason.startswith("12 points are too many")
 
 

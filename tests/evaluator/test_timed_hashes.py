@@ -55,7 +55,6 @@ def test_a_difference_of_the_timed_phase_is_one(tmp_path: Path) -> None:
     a, b = _record(tmp_path, [1, 2, 3, 4]), _record(tmp_path, [1, 2, 3, 9])
     found = compare(a, b)
     assert (found.verdict, found.bit_identical, found.same_up_to_env_order) == (Found.DIFFERENT, False, False)
-    assert found.first is not None
     assert (found.first.phase, found.first.step_a, found.first.env_a, found.first.envs) == ("timed", 1100, 1, 1)
     assert (found.first.after_step, found.first.state, found.first.located) == (100, None, False)
     assert (found.compared.hash_phase, found.compared.timed_steps) == ("capture", StepRange(2, 100, 1100))
@@ -84,7 +83,6 @@ def test_a_capture_that_differs_comes_first(tmp_path: Path) -> None:
     """Date a difference of both phases by the capture, and note the other."""
     a, b = _record(tmp_path, [1, 2, 3, 4]), _record(tmp_path, [5, 6, 7, 8], moved=3)
     found = compare(a, b)
-    assert found.first is not None
     assert (found.first.phase, found.first.step_a) == ("capture", 3)
     assert "state hashes of the timed phase differ: first at its step 100, 2 of 2 pairs of envs" in found.notes
 

@@ -242,24 +242,18 @@ def test_a_step_that_misses_the_measured_rows_has_no_errors(
 def test_a_wrong_cone_is_seen(reference: Path, runs: dict[str, Path]) -> None:
     """Rank the cone of the truth before another, certainly, at either step."""
     found = evaluate_files([reference, *runs.values()])
-    assert found.reference is not None
-    assert found.reference.tosses is not None
     order = ranked(found.results)
     names = {str(path): name for name, path in runs.items()}
     assert {names[str(one.result.group.recordings[0].path)] for one in order[:2]} == {"substeps", "elliptic"}
     last = order[-1]
-    assert last.against is not None
     assert last.against.cases == 48
-    assert last.against.ci95 is not None
     assert last.against.ci95[0] > 0.5
-    assert last.adjusted is not None
     assert last.adjusted < 0.001
     floor = found.reference.tosses.floor
     assert 0 < floor.position < 0.002
     for metric in TOSS_METRICS:
         value = order[0].result.metrics[metric.name]
         assert not isinstance(value.value, Missing)
-        assert value.ci95 is not None
         assert value.ci95[0] <= value.value <= value.ci95[1]
 
 
@@ -277,8 +271,6 @@ def test_fastest_at_equal_accuracy() -> None:
         for r in found.results
     ]
     (one,) = fastest(timed)
-    assert one.first is not None
-    assert one.second is not None
     assert (one.first.result.group.key.simulator, one.second.result.group.key.simulator) == ("warp", "mujoco")
     why = {speed.result.group.key.simulator: reason for speed, reason in one.faster}
     assert why.keys() == {"sapien", "mjx"}
@@ -302,16 +294,12 @@ def test_the_first_screen_says_what_distances_are_to() -> None:
     assert f"distance: mean error of position against {said}" in screen.getvalue()
     assert "no distance to reality" not in screen.getvalue()
     tosses = section(Source(found, False, ""))
-    assert tosses is not None
     assert tosses.summary.startswith(f"{said}; 1 group; ")
     assert tosses.title == "Accuracy: synthetic tosses"
     reference = found.reference
-    assert reference is not None
-    assert reference.tosses is not None
     known = replace(reference.tosses.known, source="measured tosses")
     measured = replace(found, reference=replace(reference, tosses=replace(reference.tosses, known=known)))
     tosses = section(Source(measured, False, ""))
-    assert tosses is not None
     assert tosses.title == "Accuracy: measured tosses"
 
 
@@ -342,7 +330,6 @@ def test_a_throughput_belongs_to_the_errors_of_its_configuration() -> None:
         one.with_throughput.metrics[TOSS_POSITION.name] == one.result.metrics[TOSS_POSITION.name] for one in order
     )
     (one,) = fastest(results)
-    assert one.first is not None
     assert (one.first.result.group.key.simulator, one.first.fps) == ("warp", 4096 * 2e5)
     why = {speed.result.label: reason for speed, reason in one.faster}
     unknown = "no run of this configuration has errors against tosses"
@@ -372,7 +359,6 @@ def test_order_does_not_matter(reference: Path, runs: dict[str, Path], tmp_path:
         "--phases", "capture", "--out", tmp_path, code=0,
     )  # fmt: skip
     found = errors_of(Recording(next(tmp_path.glob("*.mcap"))), measured)
-    assert isinstance(found, Missing)
     assert "begins as no toss" in found.reason
 
 
@@ -412,7 +398,6 @@ def test_paired() -> None:
     b = a + rng.normal(0.2, 0.3, size=60)
     found, back = paired(b, a), paired(a, b)
     assert found.p_value < 0.001
-    assert found.ci95 is not None
     assert found.ci95[0] < found.mean < found.ci95[1]
     assert back.mean == pytest.approx(-found.mean)
     assert back.p_value == pytest.approx(found.p_value, abs=0.01)
@@ -447,7 +432,6 @@ def test_false_alarms() -> None:
 def test_interval(values: list[float]) -> None:
     """Enclose nothing but what the values span; of too few there is none."""
     found = mean_interval(values)
-    assert found is not None
     assert min(values) - 1e-9 <= found[0] <= found[1] <= max(values) + 1e-9
     assert mean_interval(values[:7]) is None
     for wrong in ([values], values[0]):

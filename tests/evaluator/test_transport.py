@@ -43,13 +43,6 @@ def cloud(n: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).normal(size=(n, 2))
 
 
-@pytest.mark.parametrize("n", [1, 27, pair.ASSIGNMENT_LIMIT + 200])
-def test_shifted_copy(n: int) -> None:
-    """Measure the length of the shift between a set and its shifted copy."""
-    a = cloud(n, 0)
-    assert wasserstein1(a, a + [0.3, -0.4]).value == pytest.approx(0.5, rel=1e-12)
-
-
 def test_swapped_items_are_exactly_zero() -> None:
     """Return exactly zero for the same points in another order."""
     a = cloud(27, 1)
@@ -61,14 +54,6 @@ def test_swapped_items_are_exactly_zero() -> None:
 def test_signed_zeros_are_the_same_place() -> None:
     """Return exactly zero where only the sign of a zero differs."""
     assert wasserstein1([[0.0, 1.0]], [[-0.0, 1.0]]).value == 0.0
-
-
-def test_one_moved_item() -> None:
-    """Spread the way of one moved item over all items."""
-    a = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
-    b = a.copy()
-    b[24] += [2.0, 0.0]  # a corner, moved outward
-    assert wasserstein1(a, b).value == pytest.approx(2.0 / 25)
 
 
 def test_one_dimension_is_the_sorted_difference() -> None:

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.metrics.identity import Branch, SplitTree, distinct_over_time
-from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, Changed, Equality
@@ -87,7 +87,6 @@ def _run(hashes: list[int]) -> Histories:
 def test_runs_are_distinct_exactly_where_a_common_step_tells_them_apart(captured: list[list[int]]) -> None:
     """Put no two runs into one class that differ at a step that both captured, nor apart needlessly."""
     both = side_by_side([_run(hashes) for hashes in captured])
-    assert both is not None
     classes = distinct_over_time(both[1]).classes
     for one, other in itertools.combinations(range(len(captured)), 2):
         differ = any(a != b for a, b in zip(captured[one], captured[other], strict=False))
@@ -134,7 +133,6 @@ def test_noise_of_an_engine_is_not_blamed_on_the_capture(tmp_path: Path, finals:
     """Say that it cannot be told where runs differ anyway, or where there is one run."""
     result, text = _changes(tmp_path, finals)
     metric = result.metrics["capture_changes_states"]
-    assert isinstance(metric.value, Missing)
     assert why in metric.value.reason
     assert why in text
     assert metric.details == Changed(differ=len(finals), of=len(finals))

@@ -94,7 +94,6 @@ def test_counts_of_a_real_set(small_set: list[Path]) -> None:
     validity = only(*small_set).validity
     assert (validity.overflow, validity.overflow_told.yes) == ((), True)  # MuJoCo C had room for everything
     counted = validity.of("constraint_rows")
-    assert counted is not None
     assert (counted.phase, counted.rows, counted.n_run) == ("capture", 300, 3)
     assert counted.mean == pytest.approx(recording.counts["capture"]["constraint_rows"].mean.mean())
     assert {"build", "compile_timed", "compile_capture"} <= set(recording.timing)
@@ -118,12 +117,10 @@ def test_the_definitions(tmp_path: Path) -> None:
         write_recording(tmp_path, grid(2), shown=shown), write_recording(tmp_path, grid(2), run=1, shown=more)
     ).validity
     contacts = found.of("contacts")
-    assert contacts is not None
     assert contacts.mean == pytest.approx(COUNTS.mean() + 5)
     assert contacts.p95 == pytest.approx(np.mean([4, 8, 10]) + 5)
     assert contacts.max == 20
     timed = found.of("contacts", "timed")
-    assert timed is not None
     assert (timed.mean, timed.max, timed.n_run) == (2, 3, 1)
     assert found.of("solver_iterations") is None
 
@@ -167,7 +164,6 @@ def test_overflow_is_described(tmp_path: Path) -> None:
     result = only(
         write_recording(tmp_path, grid(2), shown=shown), write_recording(tmp_path, grid(2), run=1, shown=late)
     )
-    assert result.validity.overflow is not None
     (seen,) = result.validity.overflow
     assert (seen.name, seen.fatal, seen.rows, seen.envs, seen.n_run) == ("ITERATIONS", False, 7, 1, 2)
     assert (seen.phase, seen.first_step, seen.first_step_exact) == ("capture", 2, True)
@@ -196,7 +192,6 @@ def test_an_invalid_run_enters_no_mean_and_is_seen_everywhere(tmp_path: Path) ->
     assert result.metrics["fps"].value == pytest.approx(2000)
     assert result.metrics["w1_run_to_run"].value == 0
     contacts = result.validity.of("contacts")
-    assert contacts is not None
     assert contacts.max == 7
 
     printed = table(evaluation)

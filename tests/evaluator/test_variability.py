@@ -40,33 +40,11 @@ def test_sampling_step_refuses(t_s: float, dt: float) -> None:
         sampling_step(t_s, dt)
 
 
-def test_equal_envs(env: np.ndarray) -> None:
-    """Measure zero and one distinct env where all agree."""
-    result = parallel_variability(np.stack([env] * 16))
-    assert result.mean_cm == 0.0
-    assert result.n_distinct == 1
-    assert result.matrix_cm.shape == (16, 16)
-
-
-def test_swapped_items(env: np.ndarray) -> None:
-    """Measure zero for swapped items, and yet count two distinct envs."""
-    result = parallel_variability(np.stack([env, env[::-1]]))
-    assert result.mean_cm == 0.0
-    assert result.n_distinct == 2
-
-
 def test_shifted_envs(env: np.ndarray) -> None:
     """Average the shifts over env pairs, in centimetres."""
     result = parallel_variability(np.stack([env, env + [0.01, 0.0], env + [0.03, 0.0]]))
     assert result.matrix_cm[0] == pytest.approx([0.0, 1.0, 3.0])
     assert result.mean_cm == pytest.approx((1.0 + 3.0 + 2.0) / 3)
-
-
-def test_one_moved_item(env: np.ndarray) -> None:
-    """Spread one item's way over the 27 items."""
-    moved = env.copy()
-    moved[env[:, 0].argmax(), 0] += 0.27
-    assert parallel_variability(np.stack([env, moved])).mean_cm == pytest.approx(1.0)
 
 
 def test_distinct_envs_are_counted_as_recorded(env: np.ndarray) -> None:
@@ -80,22 +58,18 @@ def test_distinct_envs_are_counted_as_recorded(env: np.ndarray) -> None:
     assert parallel_variability(np.stack([env, negated])).mean_cm == 0.0
 
 
-def test_needs_two_envs(env: np.ndarray) -> None:
-    """Refuse a single env."""
-    with pytest.raises(ValueError, match="needs at least two envs"):
-        parallel_variability(env[None])
-
-
-def test_needs_planar_positions() -> None:
-    """Refuse spatial positions."""
-    with pytest.raises(ValueError, match="planar"):
-        parallel_variability(np.zeros((2, 27, 3)))
-
-
-def test_refuses_non_finite_positions() -> None:
-    """Refuse positions that blew up."""
-    with pytest.raises(ValueError, match="non-finite"):
-        parallel_variability(np.full((2, 27, 2), np.nan))
+@pytest.mark.parametrize(
+    ("positions", "said"),
+    [
+        (np.zeros((1, 27, 2)), "needs at least two envs"),
+        (np.zeros((2, 27, 3)), "planar"),
+        (np.full((2, 27, 2), np.nan), "non-finite"),
+    ],
+)
+def test_envs_that_cannot_be_compared(positions: np.ndarray, said: str) -> None:
+    """Refuse a single env, spatial positions, and positions that blew up."""
+    with pytest.raises(ValueError, match=said):
+        parallel_variability(positions)
 
 
 def test_shifted_runs(env: np.ndarray) -> None:
@@ -181,7 +155,6 @@ def test_a_sample_of_very_many_envs(env: np.ndarray, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(variability, "SAMPLED_ENVS", 60)
     found, again = parallel_variability(runs), parallel_variability(runs)
     assert (found.exactness, found.n_distinct, found.mean_cm) == ("sampled", 300, again.mean_cm)
-    assert found.interval_cm is not None
     low, high = found.interval_cm
     assert 0 < low < whole.mean_cm < high
     assert high - low < whole.mean_cm
@@ -271,24 +244,6 @@ def real() -> np.ndarray:
     return np.random.default_rng(0).uniform(-0.3, 0.3, size=(4, 27, 2))
 
 
-def test_equal_outcomes(real: np.ndarray) -> None:
-    """Measure exactly zero where the trials are reproduced in another order."""
-    gap = sim_to_real_gap(real[::-1], real)
-    assert (gap.value_cm, gap.exactness, gap.extension) == (0.0, "exact", None)
-
-
-def test_shift(real: np.ndarray) -> None:
-    """Measure a common shift in centimetres."""
-    assert sim_to_real_gap(real + [0.03, 0.04], real).value_cm == pytest.approx(5.0)
-
-
-def test_one_moved_item_of_a_run(real: np.ndarray) -> None:
-    """Spread one item's way over all points of all envs."""
-    moved = real.copy()
-    moved.reshape(-1, 2)[real[..., 0].argmax(), 0] += 1.08
-    assert sim_to_real_gap(moved, real).value_cm == pytest.approx(1.0)
-
-
 def test_points_are_pooled(real: np.ndarray) -> None:
     """Assign points across envs, not env by env."""
     mixed = np.random.default_rng(1).permutation(real.reshape(-1, 2)).reshape(real.shape)
@@ -299,7 +254,6 @@ def test_unequal_counts_are_an_extension(real: np.ndarray) -> None:
     """Solve other counts as weighted transport and say so."""
     gap = sim_to_real_gap(np.concatenate([real, real]) + [0.01, 0.0], real)
     assert [gap.low_cm, gap.value_cm] == pytest.approx([1.0, 1.0])
-    assert gap.extension is not None
     assert "unequal counts" in gap.extension
 
 

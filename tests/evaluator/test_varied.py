@@ -127,7 +127,6 @@ def test_mechanics(varied: tuple[Path, ...]) -> None:
     assert not isinstance(facts, Missing)
     assert [check for check, fact in facts.items() if not isinstance(fact, Missing)] == [Check.FINITE, Check.SANK]
     reason = facts[Check.ENERGY_START]
-    assert isinstance(reason, Missing)
     assert "other parameters than the scene" in reason.reason
 
 
@@ -236,21 +235,17 @@ def test_no_parameters(text: str, gsb_probe: Command) -> None:
 
 @pytest.mark.slow
 def test_a_mix_up_of_parameters_is_found(gsb_probe: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Find that all environments have the masses of the first one, which shows where environments change slots, and
-    only of environments whose masses differ."""
+    """Find that all environments have the masses of the first one, which shows where environments change slots."""
     distribution(
         tmp_path, "broken", "[gsb.simulators]\nfirst-masses = tests.recorder.broken_adapters:FirstEnvsMasses\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (tmp_path, ROOT, ROOT / "src"))))
-    found = {}
-    for vary in ((), ("--vary", "mass:0.3")):
-        target = tmp_path / f"{len(vary)}.json"
-        gsb_probe(
-            "--sim", "first-masses", "--n-env", "4", "--numbers", "2", "--steps", "150", "--stride", "50", *vary,
-            "--out", tmp_path / f"arms-{len(vary)}", "--json", target, code=0,
-        )  # fmt: skip
-        (probe,) = json.loads(target.read_text())["probes"]
-        found[vary[1:]] = {one["key"] for one in probe["answers"] if one["answer"] == Answer.NO}
-        found[vary[1:]] -= {"mirrored", "relabelled", "set"}  # of MuJoCo C itself
-    assert found == {(): set(), ("mass:0.3",): {"slot"}}
+    target = tmp_path / "answers.json"
+    gsb_probe(
+        "--sim", "first-masses", "--n-env", "4", "--numbers", "2", "--steps", "150", "--stride", "50",
+        "--vary", "mass:0.3", "--out", tmp_path / "arms", "--json", target, code=0,
+    )  # fmt: skip
+    (probe,) = json.loads(target.read_text())["probes"]
+    found = {one["key"] for one in probe["answers"] if one["answer"] == Answer.NO}
+    assert found - {"mirrored", "relabelled", "set"} == {"slot"}  # the others are MuJoCo C's own

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import run_python, searched, wait_for
+from tests.conftest import finished, run_python, searched, wait_for
 from tests.evaluator.test_player_clip import diverging
 from tests.synthetic import grid, write_recording
 
@@ -22,13 +22,11 @@ SHIPPED = ROOT / "recordings"
 PARTING = SHIPPED / "h200" / "physx-spacing-0-inclined-collision-n16-r0.mcap"
 
 
-def view(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+def view(*arguments: object, code: int | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run gsb-view without a display, a browser and other viewers, unless they are given."""
     kept = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")}
-    return subprocess.run(
-        [sys.executable, "-m", "gpusimbench.evaluator.cli.view", *map(str, arguments)],
-        env={**kept, "PATH": "/usr/bin:/bin", **environment}, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+    words = [sys.executable, "-m", "gpusimbench.evaluator.cli.view", *arguments]
+    return finished(words, code=code, env={**kept, "PATH": "/usr/bin:/bin", **environment})
 
 
 def program(folder: Path, name: str, *, ends: int = 0) -> Path:
@@ -42,8 +40,7 @@ def program(folder: Path, name: str, *, ends: int = 0) -> Path:
 
 def test_without_a_display_it_says_where_the_page_is(tmp_path: Path) -> None:
     """Write the page into a folder of its own, print its path alone, and say why no browser was opened."""
-    done = view(PARTING, TMPDIR=str(tmp_path))
-    assert done.returncode == 0, done.stderr
+    done = view(PARTING, TMPDIR=str(tmp_path), code=0)
     page = Path(done.stdout.strip())
     assert page.parent.parent == tmp_path
     assert page.name == f"{PARTING.stem}.html"
@@ -67,8 +64,7 @@ def test_the_page_is_opened_in_the_browser(tmp_path: Path) -> None:
     """Hand the page's address to the user's browser, unless it is not to be opened."""
     given = program(tmp_path, "browser")
     out = tmp_path / "my page.html"
-    done = view(PARTING, "--out", out, BROWSER=f"{tmp_path}/browser %s")
-    assert done.returncode == 0, done.stderr
+    done = view(PARTING, "--out", out, BROWSER=f"{tmp_path}/browser %s", code=0)
     assert given.read_text().strip() == out.as_uri()
     assert "no browser" not in done.stderr
     given.unlink()
@@ -82,8 +78,7 @@ def test_a_viewer_that_is_installed_is_given_a_view(tmp_path: Path, asked: str, 
     """Write views of the environments that are shown for a program that draws no recordings, and start it with them."""
     given = program(tmp_path, name)
     source = diverging(tmp_path, name="four.mcap")
-    done = view(source, "--with", asked, PATH=f"{tmp_path}:/usr/bin:/bin", DISPLAY=":9", TMPDIR=str(tmp_path))
-    assert done.returncode == 0, done.stderr
+    done = view(source, "--with", asked, PATH=f"{tmp_path}:/usr/bin:/bin", DISPLAY=":9", TMPDIR=str(tmp_path), code=0)
     assert f"lacks some of these for {name}; a view was written" in done.stderr
     wait_for(given.exists)
     made = Path(given.read_text().strip())
@@ -95,8 +90,7 @@ def test_a_viewer_that_is_installed_is_given_a_view(tmp_path: Path, asked: str, 
 def test_rerun_is_not_taken_unasked(tmp_path: Path) -> None:
     """Write the page where rerun alone is installed, since rerun would draw nothing."""
     given = program(tmp_path, "rerun")
-    done = view(PARTING, "--no-open", PATH=f"{tmp_path}:/usr/bin:/bin", DISPLAY=":9", TMPDIR=str(tmp_path))
-    assert done.returncode == 0, done.stderr
+    done = view(PARTING, "--no-open", PATH=f"{tmp_path}:/usr/bin:/bin", DISPLAY=":9", TMPDIR=str(tmp_path), code=0)
     assert done.stdout.endswith(".html\n")
     assert not given.exists()
 
@@ -125,16 +119,13 @@ print(next(m.metadata["environments"] for m in make_reader(open(sys.argv[1], "rb
 
 def test_programs_that_cannot_be_started(tmp_path: Path) -> None:
     """Say that a program is missing, or ended at once; and take the page where there is no display for one."""
-    done = view(PARTING, "--with", "foxglove", "--no-open")
-    assert done.returncode == 2
+    done = view(PARTING, "--with", "foxglove", "--no-open", code=2)
     assert "there is no foxglove-studio or foxglove on the PATH; --with page needs nothing" in done.stderr
     program(tmp_path, "lichtblick", ends=7)
     path = f"{tmp_path}:/usr/bin:/bin"
-    done = view(PARTING, "--with", "lichtblick", PATH=path, TMPDIR=str(tmp_path))
-    assert done.returncode == 1
+    done = view(PARTING, "--with", "lichtblick", PATH=path, TMPDIR=str(tmp_path), code=1)
     assert "ended with exit code 7 as soon as it was started" in done.stderr
-    done = view(PARTING, PATH=path, TMPDIR=str(tmp_path))
-    assert done.returncode == 0
+    done = view(PARTING, PATH=path, TMPDIR=str(tmp_path), code=0)
     assert done.stdout.endswith(".html\n")
 
 
@@ -158,8 +149,7 @@ def test_exit_codes(tmp_path: Path) -> None:
         ((PARTING, "--with", "paper"), 2, "invalid choice"),
     ]
     for arguments, code, said in expected:
-        done = view(*arguments)
-        assert done.returncode == code, (arguments, done.stderr)
+        done = view(*arguments, code=code)
         assert said in done.stderr, (arguments, done.stderr)
         assert "Traceback" not in done.stderr
     assert view(short, *out).stdout.endswith("view.html\n"), "what is there is shown all the same"
@@ -167,8 +157,7 @@ def test_exit_codes(tmp_path: Path) -> None:
 
 def test_environments_that_part_by_design(arms: Path, tmp_path: Path) -> None:
     """Say where environments were told to do different things, so that nobody takes that for a fault."""
-    done = view(arms, "--out", tmp_path / "view.html", "--no-open")
-    assert done.returncode == 0, done.stderr
+    done = view(arms, "--out", tmp_path / "view.html", "--no-open", code=0)
     assert "first differ at step 1" in done.stderr
     assert "The environments were given different actions, so they differ by design." in done.stderr
 

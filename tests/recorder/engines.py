@@ -76,14 +76,11 @@ def field(description: Description, states: States, name: str) -> NDArray[Any]:
 def counts(simulator: Simulator, name: str) -> list[list[int]]:
     """What the simulator counts, [row][env]."""
     evidence = simulator.evidence()
-    assert evidence is not None
-    rows: list[list[int]] = evidence.counts[name].tolist()
-    return rows
+    return evidence.counts[name].tolist()
 
 
 def bits(simulator: Simulator) -> int:
     """All overflow bits of all rows and environments."""
     evidence = simulator.evidence()
-    assert evidence is not None
     assert evidence.overflow is not None
     return int(np.bitwise_or.reduce(evidence.overflow, axis=None))

@@ -193,7 +193,6 @@ def hold_parameters(held: Imported) -> list[ParameterDifference]:
 def answer_trials(scene: ModelScene, simulator: str, **options: Any) -> Trials:
     """Answer the trials of gsb-import with poses relative to each environment's origin."""
     found = tried(scene, lambda still, n_env: make(simulator, replace(still), n_env=n_env, **options), dt=0.001, seed=0)
-    assert found is not None
     trunk = found.links.index("trunk")
     np.testing.assert_allclose(found.position[:, trunk], found.given["bodies/position"][:, 0], atol=1e-5)
     return found

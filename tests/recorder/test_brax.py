@@ -69,27 +69,6 @@ def test_a_ball_bounces(solver: str) -> None:
 
 
 @pytest.mark.slow
-def test_by_step_and_by_states() -> None:
-    """Reach the same bits by step, by states, in pieces of any size; count the contacts of the step's own search."""
-    stepped, description = build(PAIR, solver="spring")
-    stepped.compile("timed")
-    stepped.step(3)
-    stepped.step(4)
-    captured, _ = build(PAIR, solver="spring", ring=3)
-    captured.states(2)
-    rows = captured.states(5)
-    assert [a.tobytes() for a in stepped.state()] == [a[-1].tobytes() for a in rows]
-    ours, theirs = stepped.evidence(), captured.evidence()
-    assert ours is not None
-    assert theirs is not None
-    assert set(ours.counts) == {counter.name for counter in description.counters}
-    for name, counted in ours.counts.items():
-        assert counted[0].tolist() == theirs.counts[name][-1].tolist()
-    assert ours.counts["candidate_pairs"].tolist() == [[3, 3]]
-    assert bits(stepped) == bits(captured) == 0
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_step_searches_for_collisions_once(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Count contacts in the search of the step itself, timed and captured: a second search costs as much as a step."""

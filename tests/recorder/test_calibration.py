@@ -45,7 +45,6 @@ def test_racing_atomics() -> None:
     simulator.compile("capture")
     assert all(np.isfinite(array).all() for array in simulator.states(20))
     counts = simulator.evidence()
-    assert counts is not None
     assert counts.counts["contacts"].min() > 0
     simulator.close()
 

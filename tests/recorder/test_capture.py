@@ -328,7 +328,6 @@ def test_modes_give_the_same_recording(gsb_record: Command, tmp_path: Path) -> N
         recording = verified(done.stdout.strip())
         assert recording.configuration.capture == mode
         hashes = recording.fingerprints("capture")
-        assert hashes is not None
         assert {"capture", "drain"} <= set(recording.timing)
         (name,) = recording.action_names
         found.append((np.asarray(recording.state("robot", "qpos")), hashes.hashes, recording.actions(name)))
@@ -351,9 +350,7 @@ def test_kept_blocks_have_all_that_was_shown() -> None:
     for array, before in zip(block.captured.states(slice(None)), expected, strict=True):
         assert np.array_equal(array, before)
     shown, held = block.captured.evidence(), block.captured.actions(slice(env_block(n_env), None))
-    assert shown is not None
     assert shown.counts["contacts"][-1, -1] == 5 * n_env - 1
-    assert held is not None
     assert held.shape == (5, n_env - env_block(n_env), 3)
     assert (held == 1).all()
 

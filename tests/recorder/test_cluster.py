@@ -271,7 +271,6 @@ def _node(tmp_path: Path, **wanted: Any) -> subprocess.Popen[str]:
             "GSB_ENVIRONMENTS": str(tmp_path / "none"),  # whatever this machine has
         },
     )  # fmt: skip
-    assert process.stdin is not None
     process.stdin.write(json.dumps(first) + "\n")
     process.stdin.flush()
     return process
@@ -338,7 +337,6 @@ class Nodes:
 
     def kill_one(self) -> None:
         """End the node that is not the head, as a machine that loses power."""
-        assert self._process.stdin is not None
         self._process.stdin.write("kill\n")
         self._process.stdin.flush()
         self._answer()
@@ -392,7 +390,6 @@ def _names(folder: Path) -> list[str]:
 def _states(path: Path) -> tuple[int, int, bytes]:
     recording = verified(path)
     hashes = recording.fingerprints("capture")
-    assert hashes is not None
     c = recording.configuration
     return c.n_env, c.run_index, hashes.hashes.tobytes()
 

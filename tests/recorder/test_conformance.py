@@ -26,7 +26,7 @@ from gpusimbench.recorder.simulators.flight import HostFlight
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC, MujocoOptions
 from gpusimbench.recorder.simulators.registry import Entry
 from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
-from tests.conftest import distribution
+from tests.conftest import distribution, finished
 from tests.recorder import broken_adapters as broken
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -401,18 +401,15 @@ def test_a_comparison_says_where() -> None:
         expect_close(found, 0.0, atol=0.1, what="x", unit="m")
 
 
-def conformance(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def conformance(*arguments: str, code: int | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run the command."""
-    return subprocess.run(
-        [sys.executable, "-m", "gpusimbench.recorder.conformance", *arguments],
-        capture_output=True, text=True, timeout=300, env={**os.environ, **environment},
-    )  # fmt: skip
+    words = [sys.executable, "-m", "gpusimbench.recorder.conformance", *arguments]
+    return finished(words, code=code, env={**os.environ, **environment})
 
 
 def test_the_command() -> None:
     """Print a line a check and a tally, and end with 0 where none failed."""
-    done = conformance("--sim", "mujoco", "--option", "cone=pyramidal")
-    assert done.returncode == 0, done.stdout
+    done = conformance("--sim", "mujoco", "--option", "cone=pyramidal", code=0)
     lines = done.stdout.splitlines()
     assert len(lines) == len(CHECKS) + 1
     assert "ok      free_flight_follows_gravity" in lines
@@ -422,8 +419,7 @@ def test_the_command() -> None:
 
 def test_the_command_for_programs() -> None:
     """Print JSON alone, and end with 1 where a check failed."""
-    done = conformance("--sim", "mujoco", "--option", "condim=1", "--json")
-    assert done.returncode == 1
+    done = conformance("--sim", "mujoco", "--option", "condim=1", "--json", code=1)
     record = json.loads(done.stdout)
     assert (record["simulator"], record["options"]) == ("mujoco", {"condim": "1"})
     assert record["schema_version"] == SCHEMA_VERSION
@@ -443,8 +439,7 @@ def test_the_command_for_programs() -> None:
 )
 def test_what_cannot_be_checked(arguments: tuple[str, ...], message: str) -> None:
     """Say what is wrong, print no result, and end with 2."""
-    done = conformance(*arguments)
-    assert done.returncode == 2
+    done = conformance(*arguments, code=2)
     assert message in done.stderr
     assert not done.stdout
 
@@ -478,8 +473,7 @@ def test_a_defect_shows_in_a_recording(registered: Path, name: str, check: str, 
 @pytest.mark.slow
 def test_a_third_partys_adapter_by_the_command(registered: Path) -> None:
     """Check an adapter that a distribution adds; one defect is one line."""
-    done = conformance("--sim", "silent")
-    assert done.returncode == 1, done.stderr
+    done = conformance("--sim", "silent", code=1)
     failed = [line for line in done.stdout.splitlines() if line.startswith("FAILED")]
     assert failed == ["FAILED  says_what_it_is: the description's timing_covers is empty"]
 

@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,17 +21,18 @@ from tests.limits import full_disk
 from tests.reading import verified
 
 
-def _run(gsb_record: Command, plugin: dict[str, str], out: Path, mode: str, *more: object):  # type: ignore[no-untyped-def]
+def _run(
+    gsb_record: Command, plugin: dict[str, str], out: Path, mode: str, *more: object, code: int | None = None
+) -> Any:
     return gsb_record(
         "--sim", "faulty", "--n-env", 2, "--runs", 2, "--steps", 20, "--warmup", 0, "--timed-steps", 3,
-        "--option", f"mode={mode}", *more, "--out", out, env=plugin,
+        "--option", f"mode={mode}", *more, "--out", out, env=plugin, code=code,
     )  # fmt: skip
 
 
 def test_a_third_party_simulator_records(gsb_record: Command, plugin: dict[str, str], tmp_path: Path) -> None:
     """Find a simulator that another distribution offers, and keep what it prints."""
-    done = _run(gsb_record, plugin, tmp_path, "good")
-    assert done.returncode == 0, done.stderr
+    done = _run(gsb_record, plugin, tmp_path, "good", code=0)
     recording = verified(sorted(tmp_path.glob("*.mcap"))[0])
     assert recording.state("cubes", "position")[20, 0, 0, 0] == 20.0
     assert b"printed while building" in (recording.attachment("engine-log.txt") or b"")
@@ -52,8 +54,7 @@ def test_a_run_that_fails_says_why(
     gsb_record: Command, plugin: dict[str, str], tmp_path: Path, mode: str, status: str, reason: str
 ) -> None:
     """Write the reason into a whole recording, report it in one line, go on with the next run, end with 1."""
-    done = _run(gsb_record, plugin, tmp_path, mode)
-    assert done.returncode == 1
+    done = _run(gsb_record, plugin, tmp_path, mode, code=1)
     assert "Traceback" not in done.stderr
     assert done.stderr.count(reason) == 2
     files = sorted(tmp_path.iterdir())
@@ -75,8 +76,7 @@ def test_a_run_that_dies_is_incomplete(
     gsb_record: Command, plugin: dict[str, str], tmp_path: Path, mode: str, how: str
 ) -> None:
     """Keep what was written under its .partial name, say how the process ended, end with 3."""
-    done = _run(gsb_record, plugin, tmp_path, mode)
-    assert done.returncode == 3
+    done = _run(gsb_record, plugin, tmp_path, mode, code=3)
     assert done.stderr.count(how) == 2
     files = sorted(tmp_path.iterdir())
     assert [f.suffix for f in files] == [".partial", ".partial"]
@@ -149,8 +149,7 @@ def _status(file: Path) -> str:
 
 def test_gates_are_asked_after_every_phase(gsb_record: Command, plugin: dict[str, str], tmp_path: Path) -> None:
     """Call a run invalid whose gates fire in the timed phase, though nothing is captured."""
-    done = _run(gsb_record, plugin, tmp_path, "gate", "--phases", "timed")
-    assert done.returncode == 1
+    _run(gsb_record, plugin, tmp_path, "gate", "--phases", "timed", code=1)
     for file in tmp_path.iterdir():
         recording = verified(file)
         reason = "phase warmup: contacts were dropped; the same in phase timed"
@@ -196,8 +195,7 @@ def test_a_process_that_cannot_start_says_why(gsb_record: Command, tmp_path: Pat
 
 def test_the_last_words_of_a_process(gsb_record: Command, plugin: dict[str, str], tmp_path: Path) -> None:
     """Say what a process printed last that died without a report."""
-    done = _run(gsb_record, plugin, tmp_path, "exit", "--runs", 1)
-    assert done.returncode == 3
+    done = _run(gsb_record, plugin, tmp_path, "exit", "--runs", 1, code=3)
     assert done.stderr.strip().endswith("the last that it printed: printed while building")
 
 

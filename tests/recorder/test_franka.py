@@ -169,7 +169,6 @@ def test_self_collision(model: mujoco.MjModel) -> None:
 def test_actions_depend_on_seed_env_and_step_alone(seed: int, n_env: int, first: int, count: int) -> None:
     """Give the same target whatever else is drawn with it, within the limits."""
     actions = franka().actions
-    assert actions is not None
     block = actions.draw(seed, n_env=n_env, first_step=first, n_step=count)
     assert block.shape == (count, n_env, 7)
     assert block.dtype == np.float32
@@ -183,7 +182,6 @@ def test_actions_depend_on_seed_env_and_step_alone(seed: int, n_env: int, first:
 def test_streams_of_actions(seed: int, n_env: int, begun: int) -> None:
     """Give an environment the actions of another, and begin them anew, as the streams say."""
     actions = franka().actions
-    assert actions is not None
     usual = actions.draw(seed, n_env=n_env, first_step=0, n_step=30)
     anew = np.zeros(n_env, dtype=np.uint32)
     anew[0] = begun
@@ -197,7 +195,6 @@ def test_streams_of_actions(seed: int, n_env: int, begun: int) -> None:
 def test_actions_are_uniform_and_independent() -> None:
     """Fill the limits evenly, without correlation between neighbours in step, env or joint."""
     actions = franka().actions
-    assert actions is not None
     block = actions.draw(0, n_env=64, first_step=0, n_step=400).astype(np.float64)
     unit = (block - actions.lower) / np.subtract(actions.upper, actions.lower)
     counts, _ = np.histogram(unit, bins=50, range=(0, 1))
@@ -233,8 +230,6 @@ def test_a_recording_of_the_arm(gsb_record: Command, gsb_eval: Command, tmp_path
     assert np.array_equal(first.actions("joint_target"), drawn)
     assert first.action_names == ("joint_target",)
     found, again = first.fingerprints("capture"), second.fingerprints("capture")
-    assert found is not None
-    assert again is not None
     assert np.array_equal(found.hashes, again.hashes)
     assert len(set(found.hashes[-1].tolist())) == 3
     evaluated = gsb_eval(first.path, second.path, "--json", "-", code=0)

@@ -17,7 +17,7 @@ import pytest
 
 pytest.importorskip("genesis")
 
-from gpusimbench.evaluator.imports.motion import Poses, Responses, poses, responses
+from gpusimbench.evaluator.imports.motion import poses, responses
 from gpusimbench.evaluator.imports.parameters import compare
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.run.import_phase import tried
@@ -256,9 +256,7 @@ def test_trials(tmp_path: Path) -> None:
     simulator.close()
     items = {field.name: field.items for field in description.fields}
     where, moved = poses(ours, theirs, (items, items)), responses(ours, theirs, (items, items))
-    assert isinstance(where, Poses)
     assert not where.wrong
-    assert isinstance(moved, Responses)
     assert not moved.wrong
     assert sum(one.agrees is True for one in moved.each) > 15
 

@@ -209,7 +209,6 @@ def test_robots(gsb_record: Command, tmp_path: Path) -> None:
     recording = open_recording(Path(done.stdout.strip()))
     angles = np.asarray(recording.state("robot", "qpos"))[0, ..., 0]
     robot = make_scene("franka").robot
-    assert robot is not None
     lower, upper = np.array([(joint.lower, joint.upper) for joint in robot.joints()]).T
     assert (lower <= angles).all()
     assert (angles <= upper).all()

@@ -78,7 +78,6 @@ def test_a_strided_capture_that_ends_early(
     assert cubes.steps.tolist() == list(range(0, 751, 20))
     assert np.array_equal(cubes[:, 0, 0, 0], cubes.steps)
     hashes = recording.fingerprints("capture")
-    assert hashes is not None
     assert len(hashes.steps) == 751
 
 
@@ -91,7 +90,6 @@ def test_an_interruption_at_any_moment_of_the_start(tmp_path: Path) -> None:
              "--phases", "capture", "--out", str(out)],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         )  # fmt: skip
-        assert process.stdout is not None
         process.stdout.readline()
         time.sleep(0.04 * number)
         os.killpg(process.pid, signal.SIGINT)

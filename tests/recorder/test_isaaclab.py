@@ -72,18 +72,6 @@ def tower(count: int) -> Scene:
 
 
 @backends
-def test_first_state_is_at_rest(backend: str) -> None:
-    """The tiny step that a backend makes while it starts leaves no trace in the first state."""
-    with built(backend=backend) as (simulator, description):
-        state = simulator.state()
-        for layout, array in zip(description.fields, state, strict=True):
-            if layout.field in ("linear_velocity", "angular_velocity"):
-                assert not array.any(), layout.name
-        simulator.compile("timed")
-        assert same(state, simulator.state())
-
-
-@backends
 def test_second_simulation_repeats_the_first(backend: str) -> None:
     """A simulation that was closed leaves nothing behind: the next in the same process has the same bits."""
     trajectories = []

@@ -34,11 +34,7 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 def _given(step: int) -> NDArray[np.float32]:
     """The actions of a step, [env, action]."""
     actions = make_scene("franka").actions
-    assert actions is not None
-    found: NDArray[np.float32] = actions.draw(
-        SEED, n_env=N_ENV, first_step=step, n_step=1, streams=Streams.usual(N_ENV)
-    )[0]
-    return found
+    return actions.draw(SEED, n_env=N_ENV, first_step=step, n_step=1, streams=Streams.usual(N_ENV))[0]
 
 
 _LAST = _given(FIRST + STEPS - 1)

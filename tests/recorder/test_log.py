@@ -89,7 +89,6 @@ def test_a_program_logs_its_states(tmp_path: Path) -> None:
     assert np.array_equal(recording.state("cubes", "linear_velocity")[:], velocity)
     assert recording.configuration.options == {"drag": "0.1"}
     assert recording.configuration.phases == ("capture",)
-    assert recording.simulation is not None
     assert recording.simulation.options == {"drag": 0.1}
     assert recording.provenance.host["cpu"]
     assert recording.provenance.software["packages"]["numpy"] == np.__version__

@@ -284,6 +284,5 @@ def test_worlds_on_a_gpu_read_rows_by_their_places(monkeypatch: pytest.MonkeyPat
     assert np.allclose(states[0][:, :, 0, 0], 0.01 * np.arange(1, 8)[:, None])
     assert masks is not None
     assert (masks != 0).tolist() == [[step >= 5] * 2 for step in range(1, 8)]
-    assert after is not None
     assert after.shape == (1, 2)
     assert (after == masks[-1]).all()

@@ -143,10 +143,7 @@ def test_what_a_model_has_beside_shapes_is_named() -> None:
 
     def notes(sites: str, rest: str = "", tendon: str = "") -> list[str]:
         world = f"<worldbody>{sites}{body}{rest}</worldbody><tendon>{tendon}</tendon>"
-        found: list[str] = json.loads(geometry_of(mujoco.MjModel.from_xml_string(f"<mujoco>{world}</mujoco>")))[
-            "simplified"
-        ]
-        return found
+        return json.loads(geometry_of(mujoco.MjModel.from_xml_string(f"<mujoco>{world}</mujoco>")))["simplified"]
 
     seen, hidden = '<site name="a" pos="0 0 1"/>', '<site name="a" rgba="1 0 0 0"/>'
     assert notes(seen, flex, tendons) == ["flexible bodies (1), spatial tendons (1) and sites (2) are not drawn"]

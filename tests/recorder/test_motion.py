@@ -21,7 +21,6 @@ def test_a_body_counts_once() -> None:
     by_name["ball/linear_velocity"][1, 0] = (0.008, 0.008, 0.0)  # faster than either of its components
     by_name["ball/position"][2] = 5.0
     found = moving(BODIES, state)
-    assert found is not None
     assert found.tolist() == [2, 1, 0]
 
 
@@ -29,7 +28,6 @@ def test_joints_count_and_what_is_not_finite_is_no_rest() -> None:
     """Count joints by their own speed, and numbers that are none as motion, which another gate names."""
     qvel = np.array([[[0.5], [0.0]], [[np.nan], [0.0]], [[0.01], [-0.011]]])
     found = moving(JOINTS, (np.ones((3, 2, 1)), qvel))
-    assert found is not None
     assert found.tolist() == [1, 1, 1]
 
 
@@ -40,8 +38,6 @@ def test_states_without_velocities_tell_nothing() -> None:
     assert with_motion(evidence, JOINTS[:1], (qpos,)) is evidence
     assert with_motion(None, JOINTS[:1], (qpos,)) is None
     both = with_motion(evidence, JOINTS, (qpos, qvel))
-    assert both is not None
     assert {name: rows.tolist() for name, rows in both.counts.items()} == {"contacts": [[1, 1]], "moving": [[2, 2]]}
     alone = with_motion(None, JOINTS, (qpos, qvel))
-    assert alone is not None
     assert list(alone.counts) == ["moving"]

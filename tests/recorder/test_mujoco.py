@@ -46,7 +46,6 @@ def test_steps_without_the_batch_have_the_same_bits(scene: str) -> None:
         simulator.prepare(None if actions is None else actions.draw(7, n_env=5, first_step=0, n_step=140))
         captured = simulator.states(100)  # past the impact
         evidence = simulator.evidence()
-        assert evidence is not None
         simulator.step(20)
         simulator.reset(np.array([1, 4]))
         simulator.step(20)

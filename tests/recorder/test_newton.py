@@ -113,29 +113,6 @@ def test_a_capsule(solver: str) -> None:
     simulator.close()
 
 
-@pytest.mark.slow
-@solvers
-def test_stepping_and_capturing_agree(solver: str) -> None:
-    """Reach the same bits by step, by states, and in blocks of any size, longer than the ring too."""
-    stepped, _ = build(LANDING, solver)
-    stepped.compile("timed")
-    stepped.step(7)
-    stepped.step(56)
-    captured, _ = build(LANDING, solver)
-    captured.states(2)
-    states = captured.states(61)
-    for a, b in zip(stepped.state(), states, strict=True):
-        assert b.shape[:2] == (61, 2)
-        assert a.tobytes() == b[-1].tobytes()
-    last, rows = stepped.evidence(), captured.evidence()
-    for name, counts in last.counts.items():
-        assert counts.shape == (1, 2)
-        assert rows.counts[name].shape == (61, 2)
-        assert np.array_equal(counts[0], rows.counts[name][-1])
-    assert rows.overflow is not None
-    assert not rows.overflow.any()
-
-
 @solvers
 def test_a_box_rests(solver: str) -> None:
     """Land on four corners, stay there, and count them; no buffer of measured size overflows."""
@@ -144,7 +121,6 @@ def test_a_box_rests(solver: str) -> None:
     assert np.abs(height - 0.05).max() < 2e-3
     evidence = simulator.evidence()
     assert np.all(evidence.counts["contacts"][-20:] == 4)
-    assert evidence.overflow is not None
     assert not evidence.overflow.any()
     assert {counter.name for counter in description.counters} == set(evidence.counts)
     assert all(buffer.asked > 0 and "MuJoCo C" in buffer.sized_by for buffer in description.buffers)
@@ -172,7 +148,6 @@ def test_what_is_dropped_shows(solver: str, too_small: dict[str, str], expected:
         else:
             simulator.step(12)
         overflow = simulator.evidence().overflow
-        assert overflow is not None
         assert overflow.shape == (12 if capture else 1, 2)
         assert not capture or not overflow[0].any()  # nothing touches yet
         assert (overflow[-1] & (1 << bit.bit)).all()
@@ -191,7 +166,6 @@ def test_newtons_contacts_in_mujocos_solver() -> None:
     small, _ = build(LANDING, "mujoco", use_mujoco_contacts="off", max_contacts="1")
     small.step(12)
     overflow = small.evidence().overflow
-    assert overflow is not None
     assert (overflow & (1 << 16)).all()
 
 

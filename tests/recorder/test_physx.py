@@ -291,25 +291,6 @@ def test_static_friction(slope: float, slides: bool) -> None:
 
 
 @pytest.mark.usefixtures("engine")
-def test_stepping_and_capturing_agree() -> None:
-    """Reach the same bits by step, by states, and in blocks of any size, longer than the ring too."""
-    scene = make_scene("free-fall")
-    stepped, _ = build(scene)
-    stepped.compile("timed")
-    stepped.step(7)
-    stepped.step(48)
-    last = stepped.state()
-    stepped.close()
-    again, _ = build(scene)
-    again.states(2)
-    states = again.states(53)
-    again.close()
-    for one, other in zip(last, states, strict=True):
-        assert other.shape[:2] == (53, 2)
-        assert one.tobytes() == other[-1].tobytes()
-
-
-@pytest.mark.usefixtures("engine")
 def test_enhanced_determinism_does_not_see_other_environments() -> None:
     """With it, environment 0 does the same bits alone as among three."""
     scene = make_scene("inclined-collision")
@@ -381,7 +362,6 @@ def test_arm_holds_as_in_mujoco() -> None:
     from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
     scene = make_scene("franka")
-    assert scene.robot is not None
     steps = 200
     simulator, _ = build(scene, n_env=3, solver="PGS")
     targets = np.tile(np.array(scene.robot.start, dtype=np.float32), (steps, 3, 1))
@@ -405,7 +385,6 @@ def test_arm_holds_as_in_mujoco() -> None:
 def test_drives_are_as_described() -> None:
     """The engine holds the description's stiffness, damping, torque, speed limits, armature and friction."""
     scene = make_scene("franka")
-    assert scene.robot is not None
     simulator, _ = build(scene)
     from ovphysx.types import TensorType
 
@@ -474,7 +453,6 @@ def test_states_that_are_not_finite_are_refused() -> None:
 def test_arms_are_reset_and_set() -> None:
     """Reset arms move as in the beginning, bit for bit; others, and what was not set, stay as they are."""
     scene = make_scene("franka")
-    assert scene.robot is not None
     simulator, _ = build(scene, n_env=3)
     first = simulator.state()
     drawn = np.random.default_rng(0).normal(size=(30, 3, len(scene.robot.start))) * 0.3

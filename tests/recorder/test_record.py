@@ -49,7 +49,6 @@ def test_provenance_is_complete(small: Path) -> None:
     """Say who, what, where and with what, without naming a user or a host."""
     recording = open_recording(small)
     provenance, simulation = recording.provenance, recording.simulation
-    assert simulation is not None
     assert provenance.argv[:3] == ("gsb-record", "--sim", "mujoco")
     assert {"cpu", "usable_threads", "memory_bytes", "kernel"} <= provenance.host.keys()
     assert {"mujoco", "numpy", "protobuf", "mcap"} <= provenance.software["packages"].keys()
@@ -80,9 +79,7 @@ def test_phases_in_order(small: Path) -> None:
     assert marks == [(f"PHASE_{mark}", phase) for phase in phases for mark in ("BEGIN", "END")]
     with small.open("rb") as stream:
         summary = make_reader(stream).get_summary()
-    assert summary is not None
     (channel,) = [c for c in summary.channels.values() if c.topic == "/timing/timed"]
-    assert recording.simulation is not None
     assert channel.metadata["covers"].startswith(recording.simulation.timing_covers)
     assert "memory is sampled from another thread at 100 Hz" in channel.metadata["covers"]
     times = [e.monotonic_ns for e in recording.events]
@@ -172,10 +169,8 @@ def test_states_from_the_initial_one_on(small: Path) -> None:
     assert np.array_equal(cubes[0, 0], [bodies[n].position for n in cubes.field.items])
     assert recording.state("ball", "orientation").shape == (101, 4, 1, 4)
     hashes = recording.fingerprints("capture")
-    assert hashes is not None
     assert hashes.hashes.shape == (101, 4)
     timed = recording.fingerprints("timed")
-    assert timed is not None
     assert timed.steps.tolist() == [10, 30]
     assert np.array_equal(timed.hashes, hashes.hashes[[10, 30]]), "capturing changed the states"
 
@@ -192,8 +187,6 @@ def test_stride_keeps_all_fingerprints(gsb_record: Command, tmp_path: Path, smal
     assert cubes.steps.tolist() == [0, 20, 40, 60, 80, 100]
     assert np.array_equal(np.asarray(cubes), whole.state("cubes", "position")[::20])
     a, b = strided.fingerprints("capture"), whole.fingerprints("capture")
-    assert a is not None
-    assert b is not None
     assert np.array_equal(a.hashes, b.hashes)
     assert set(strided.timing) - {"stall"} == {"build", "compile_capture", "capture", "drain"}
 
@@ -381,7 +374,6 @@ def test_switches_of_common_options(gsb_record: Command, tmp_path: Path) -> None
     recording = open_recording(done.stdout.strip())
     asked = recording.configuration
     assert (asked.options, asked.determinism, asked.timeout) == ({"cone": "pyramidal", "solver": "CG"}, "default", 600)
-    assert recording.simulation is not None
     assert recording.simulation.options["solver"] == "CG"
 
 

@@ -218,7 +218,6 @@ def test_bodies_that_sleep_are_counted_out() -> None:
             told = {deviation.parameter for deviation in simulator.build().deviations}
             simulator.step(100)
             evidence = simulator.evidence()
-            assert evidence is not None
             assert evidence.counts[AWAKE_BODIES.name].tolist() == [[awake]]
             assert evidence.counts[CONTACTS.name].tolist() == [[4]]
             assert ("bodies.at_rest" in told) == (threshold > 0)
@@ -264,7 +263,6 @@ def test_principal_axes_give_the_inertia_back() -> None:
 def test_the_arm_follows_its_targets() -> None:
     """At rest each joint is where servo and gravity balance, within their largest torque by the stiffness."""
     scene = make_scene("franka")
-    assert scene.robot is not None
     joints = scene.robot.joints()
     target = np.array([[[0.3, -0.4, 0.2, -1.5, 0.1, 1.4, 0.5]]], dtype=np.float32)
     simulator = made(scene, dt=0.002)

@@ -205,7 +205,6 @@ def test_other_makers_of_folders_are_killed(tmp_path: Path, temporary: Path, pro
     python.chmod(0o755)
     arguments = [sys.executable, "-c", program, str(python)]
     process = subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True)
-    assert process.stdin is not None
     process.stdin.write(b'{"code": ""}\n')
     process.stdin.flush()
     wait_for(lambda: any(temporary.glob("gsb-[!n]*")))  # not those without a lock yet

@@ -147,8 +147,7 @@ def verdict(variant: Variant, check: str) -> dict[str, Any]:
     """What `python -m gpusimbench.recorder.conformance` finds; it runs once for all checks of a variant."""
     done = _checked(variant.name, variant.xla)
     assert done.returncode in (0, 1), f"exit code {done.returncode}: {done.stderr[-2000:]}"
-    found: dict[str, Any] = next(v for v in json.loads(done.stdout)["checks"] if v["check"] == check)
-    return found
+    return next(v for v in json.loads(done.stdout)["checks"] if v["check"] == check)
 
 
 def _cases() -> list[Any]:

@@ -67,7 +67,6 @@ def test_given_positions_are_from_the_origin_of_each_environment() -> None:
             assert (found[name] == expected).all()
 
 
-@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -75,8 +74,6 @@ def test_given_positions_are_from_the_origin_of_each_environment() -> None:
         ("mujoco", "--scene", "franka"),
         pytest.param(("calibration",), marks=pytest.mark.slow),
         pytest.param(("warp", "--option", "device=cpu"), marks=pytest.mark.slow),
-        pytest.param(("newton", "--option", "device=cpu", "--solver", "xpbd"), marks=pytest.mark.slow),
-        pytest.param(("mjx", "--scene", "cube-toss"), marks=pytest.mark.slow),
     ],
     ids=" ".join,
 )
@@ -115,7 +112,6 @@ def test_steps_keep_their_numbers(whole: Path, rest: Path) -> None:
     assert np.array_equal(np.asarray(state), np.asarray(open_recording(whole).state("cubes", "position"))[30:])
     shown = call("gsb-info", rest).stdout
     assert "60 captured steps from step 30 on, each kept" in shown
-    assert recording.provenance.replay_of is not None
     assert recording.provenance.replay_of.changed == {"initial": "random:0.1"}
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -82,11 +81,8 @@ def endless(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return distribution(folder, "endless-simulator", "[gsb.simulators]\nendless = endless_simulator:Endless\n", _PLUGIN)
 
 
-def _impatient(environment: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", _IMPATIENT, "--sim", "endless", *_SMALL, *map(str, arguments)],
-        capture_output=True, text=True, timeout=300, env=environment,
-    )  # fmt: skip
+def _impatient(environment: dict[str, str], *arguments: object, code: int) -> subprocess.CompletedProcess[str]:
+    return run_python(_IMPATIENT, "--sim", "endless", *_SMALL, *arguments, code=code, env=environment)
 
 
 @pytest.mark.parametrize(
@@ -215,8 +211,7 @@ def test_the_time_ends_within_a_write(tmp_path: Path) -> None:
 
 def test_an_engine_that_never_returns(endless: dict[str, str], tmp_path: Path) -> None:
     """Kill a run, and what it started, whose engine sits in native code; keep what it wrote, and end with 3."""
-    done = _impatient(endless, "--n-env", 1, "--runs", 1, "--timeout", _TIMEOUT_S, "--out", tmp_path)
-    assert done.returncode == 3, done.stderr
+    done = _impatient(endless, "--n-env", 1, "--runs", 1, "--timeout", _TIMEOUT_S, "--out", tmp_path, code=3)
     (file,) = tmp_path.iterdir()
     assert file.suffix == ".partial"
     assert done.stdout.strip() == str(file)
@@ -235,8 +230,7 @@ def test_an_engine_that_never_lets_its_process_end(endless: dict[str, str], tmp_
 def test_a_sweep_ends_at_a_run_that_never_returns(endless: dict[str, str], tmp_path: Path) -> None:
     """Record in its place that a run was killed, try it once, and again only when it gets more time."""
     sweep = ("--sweep", "1..8", "--runs", 2, "--option", "from_n_env=2", "--out", tmp_path)
-    done = _impatient(endless, *sweep, "--timeout", _TIMEOUT_S)
-    assert done.returncode == 0, done.stderr
+    done = _impatient(endless, *sweep, "--timeout", _TIMEOUT_S, code=0)
     assert "2 envs: 1 of 2 runs are not made: they would fail as the first did" in done.stderr
     assert re.search(r"^N_env\^max 1: failed at 2: .*was killed in phase init", done.stderr, re.MULTILINE)
     (partial,) = tmp_path.glob("*.partial")
@@ -250,13 +244,11 @@ def test_a_sweep_ends_at_a_run_that_never_returns(endless: dict[str, str], tmp_p
     assert read_end(file).outcome.cause == "TIMEOUT"
 
     before = set(tmp_path.iterdir())
-    again = _impatient(endless, *sweep, "--timeout", _TIMEOUT_S)
-    assert again.returncode == 0, again.stderr
+    again = _impatient(endless, *sweep, "--timeout", _TIMEOUT_S, code=0)
     assert set(tmp_path.iterdir()) == before
     assert "3 of 8 runs are in" in again.stderr
     assert again.stdout == ""
 
-    longer = _impatient(endless, *sweep, "--timeout", _TIMEOUT_S + 1)
-    assert longer.returncode == 0, longer.stderr
+    longer = _impatient(endless, *sweep, "--timeout", _TIMEOUT_S + 1, code=0)
     assert "2 of 8 runs are in" in longer.stderr
     assert f"its timeout of {_TIMEOUT_S + 1} s" in longer.stderr

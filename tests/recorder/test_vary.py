@@ -128,7 +128,6 @@ def test_what_is_scaled() -> None:
                 assert after == before
                 continue
             name = before.name
-            assert before.mass is not None
             assert after.mass == before.mass * mass[name]
             assert after.material.kinetic_friction == before.material.kinetic_friction * friction[name]
             assert after.material.static_friction == before.material.static_friction * friction[name]
@@ -162,14 +161,12 @@ def test_compiled() -> None:
 def test_robots() -> None:
     """Vary the masses of all links that move, with their inertia, and the friction of the robot."""
     scene = make_scene("franka")
-    assert scene.robot is not None
     found = drawn("mass:0.2,friction:0.2", scene="franka")
     assert found.factors["friction"].items == (scene.robot.name,)
     assert varied_items(scene, "size") == ()
     moving = [link.name for link in scene.robot.links[1:]]
     assert list(found.factors["mass"].items) == moving
     changed = found.of(scene, 1)
-    assert changed.robot is not None
     for before, after in zip(scene.robot.links, changed.robot.links, strict=True):
         factor = dict(zip(moving, found.factors["mass"].values[1], strict=True)).get(before.name, 1.0)
         assert after.inertial.mass == before.inertial.mass * factor

@@ -63,7 +63,6 @@ def test_types_that_viewers_know(plain: Path) -> None:
     """Write the view in Foxglove's types, under their names, each with its definition."""
     with plain.open("rb") as stream:
         summary = make_reader(stream).get_summary()
-    assert summary is not None
     types = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values() if "/view/" in c.topic}
     assert types == {
         "/state/view/log/000000": "foxglove.Log",
@@ -227,7 +226,6 @@ def test_no_view(tmp_path: Path) -> None:
         reader = make_reader(stream)
         summary = reader.get_summary()
         assert [record.name for record in reader.iter_metadata()] == ["gsb"]
-    assert summary is not None
     assert not [c.topic for c in summary.channels.values() if "/view/" in c.topic]
     assert open_recording(path).configuration.view == ()
 

@@ -194,7 +194,6 @@ def test_what_is_recorded(tmp_path: Path) -> None:
     c = recording.configuration
     assert (c.simulator, c.scene, c.dt, c.seed, c.steps, c.n_env) == ("gymnasium", "Walk", 0.05, 7, 12, 2)
     assert c.options == {"autoreset_mode": "NextStep"}
-    assert recording.simulation is not None
     assert recording.simulation.version == gymnasium.__version__
     stepped = recording.state("env", "stepped")[:, :, 0, 0]
     begins = (stepped[1:] == 0) & (recording.state("env", "episode")[1:, :, 0, 0] > 0)
@@ -369,7 +368,6 @@ def test_what_the_commands_say(tmp_path: Path) -> None:
     every = list(episodes(recording))
     ended = [e for e in every if e.ended]
     counts = count_episodes(recording)
-    assert counts is not None
     assert (counts.steps, counts.ended, counts.cut) == (120, len(ended), len(every) - len(ended))
     assert (counts.terminated, counts.truncated) == (sum(e.terminated for e in every), sum(e.truncated for e in every))
     assert counts.mean_length == pytest.approx(np.mean([len(e) for e in ended]))
@@ -392,7 +390,6 @@ def test_what_the_commands_say(tmp_path: Path) -> None:
     whole = [tmp_path / f"{name}.mcap" for name in "ac"]
     call("gsb-eval", *whole, "--html", tmp_path / "page", "--tables", tmp_path / "tables", "--format", "csv", code=0)
     other_counts = count_episodes(open_recording(whole[1]))
-    assert other_counts is not None
     rows = list(csv.reader((tmp_path / "tables" / "episodes.csv").read_text(encoding="utf-8").splitlines()))
     assert {row[2] for row in rows[1:]} == {"120"}
     assert {row[3] for row in rows[1:]} == {str(counts.ended), str(other_counts.ended)}
@@ -422,7 +419,6 @@ def test_episodes_of_a_file_that_was_cut_short(tmp_path: Path) -> None:
         recording = open_recording(path)
         assert recording.status == "incomplete"
         counts = count_episodes(recording)
-        assert counts is not None
         found.append(counts.steps)
         part = [said(episode) for episode in episodes(recording)]
         assert sum(len(one["rewards"]) for one in part) == counts.steps

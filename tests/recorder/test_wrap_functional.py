@@ -127,7 +127,6 @@ def test_a_recording_has_what_bare_environments_return(steps: int, tmp_path: Pat
         moved = np.diff(seen[:end, 0])
         assert np.allclose(moved, np.abs(episode.actions["action"][: len(moved), 0]) / 4, atol=1e-6)
     counts = count_episodes(recording)
-    assert counts is not None
     assert counts.ended == done[1:].sum()
     c = recording.configuration
     assert (c.simulator, c.scene, c.dt, c.n_env, c.seed) == ("brax", "Falling", 0.1, N_ENV, 0)
@@ -390,7 +389,6 @@ def test_a_cartpole_of_playground(full: bool, tmp_path: Path) -> None:
     slide = np.array([one.data.qpos[0, 0] for one in seen])
     np.testing.assert_allclose(drawn_at.position[:, cart, 0], slide, atol=1e-6)  # along the rail, in float32
     counts = count_episodes(recording)
-    assert counts is not None
     assert (counts.truncated, counts.terminated, counts.mean_length) == (3 * N_ENV, 0, 8)
     assert (column(recording, "info_reward_upright_given")[1:] == 1).all()
 

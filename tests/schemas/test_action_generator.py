@@ -132,8 +132,7 @@ def _block(**changes: Any) -> bytes:
             field.extend(value)
         else:
             setattr(message, name, value)
-    serialised: bytes = message.SerializeToString()
-    return serialised
+    return message.SerializeToString()
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,6 @@ def test_messages_of_a_chunk_are_counted_by_its_indexes(channels: int, messages:
                 writer.add_message(number, time, b"{}", time)
         writer.finish()
     index = read_index(open_source(path))
-    assert index is not None
     (chunk,) = index.chunks
     assert chunk.messages == channels * messages
     assert list(chunk.channels) == numbers
@@ -48,7 +47,6 @@ def test_no_record_lies_upon_another(tmp_path: Path) -> None:
         writer.add_message(channel, 0, b"{}", 0)
         writer.finish()
     data, index = path.read_bytes(), read_index(open_source(path))
-    assert index is not None
     (attachment,), (chunk,) = index.attachments, index.chunks
     begin, length = attachment.record - RECORD_HEAD, attachment.end + 4 - attachment.record + RECORD_HEAD
     told = data.rindex(struct.pack("<QQ", begin, length))
@@ -84,7 +82,6 @@ def test_a_chunk_has_no_more_messages_than_bytes_for_them(tmp_path: Path, more: 
         writer.add_message(writer.register_channel("/n", "json", 0), 0, b"{}", 0)
         writer.finish()
     data, index = bytearray(path.read_bytes()), read_index(open_source(path))
-    assert index is not None
     (chunk,) = index.chunks
     told = data.rindex(struct.pack("<HQ", chunk.channels[0], chunk.places[0])) + 10
     assert struct.unpack_from("<Q", data, told) == (chunk.index_bytes,)
@@ -108,7 +105,6 @@ def test_a_chunk_of_one_message_has_one(tmp_path: Path, others: int) -> None:
             writer.add_message(number, 0, b"{}", 0, sequence)
         writer.finish()
     data, index = bytearray(path.read_bytes()), read_index(open_source(path))
-    assert index is not None
     (chunk,) = index.chunks
     told = data.rindex(struct.pack("<HQ", chunk.channels[0], chunk.places[0])) + 10
     struct.pack_into("<Q", data, told, 15 + 16)  # of an index that lists one message

@@ -80,8 +80,6 @@ def test_the_library_reads_it(tmp_path: Path, compression: str) -> None:
         assert [(a.name, a.data) for a in reader.iter_attachments()] == [("note.txt", b"a note")]
         assert [(m.name, m.metadata) for m in reader.iter_metadata()] == [("facts", {"key": "value"})]
         summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
         assert summary.statistics.message_count == len(sent)
         assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (90, 100)
         assert summary.statistics.channel_message_counts == {1: 6, 2: 5}
@@ -164,7 +162,6 @@ def test_a_chunk_ends_at_its_limit(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap", sizes, "none")
     with (tmp_path / "a.mcap").open("rb") as stream:
         summary = make_reader(stream).get_summary()
-    assert summary is not None
     assert [c.uncompressed_size for c in summary.chunk_indexes] == [limit, head, limit, limit - 1 + head, head + 1]
 
 
@@ -215,7 +212,6 @@ def test_a_file_without_messages(tmp_path: Path) -> None:
     write(path, (), "none")
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
-    assert summary is not None
     assert summary.statistics is not None
     found = summary.statistics
     assert (found.message_count, found.message_start_time, found.message_end_time) == (0, 0, 0)

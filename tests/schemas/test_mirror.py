@@ -69,8 +69,7 @@ def test_exact_and_undone_by_itself(axes: str, dtype: str) -> None:
 
 
 def _described(name: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(make_scene(name).to_json())
-    return found
+    return json.loads(make_scene(name).to_json())
 
 
 def test_scenes() -> None:

@@ -213,7 +213,6 @@ def test_the_extent_of_a_scene_without_a_board() -> None:
         {"name": "b", "group": "g", "position": [0, 4, 0], "shape": {"kind": "box", "size": [2.0, 4.0, 4.0]}},
     ]
     extent = extent_of({"bodies": bodies}, "none")
-    assert extent is not None
     # reach: 0.5, 1.5, 3; the sphere's top is at 3.5
     assert (extent.what, extent.edge) == ("the scene", 0.0)
     assert (extent.low, extent.high) == ((-3.0 - 3.5, -1.5 - 3.5), (3.0 + 3.5, 7.0 + 3.5))
@@ -235,14 +234,12 @@ def test_positions_in_their_unit_raise_no_doubt() -> None:
 def test_the_unit_that_would_fit_is_named() -> None:
     """Call a unit wrong where another fits and half of the bodies are far away, with the median distance."""
     doubt = unit_doubt(np.concatenate([PLACED, PLACED * 100, PLACED * 100]), "m", ["one", "two", "three"], EXTENT)
-    assert doubt is not None
     assert doubt.wrong
     assert doubt.text.startswith("trial two (and 1 more of 3): half of its bodies lie ")
     assert doubt.text.endswith(" m or more beside the board: m cannot be its unit; cm would fit")
     beside = np.hypot(*np.maximum(PLACED[0] * 100 - [1.0, 0.5], 0).T)
     assert f" {np.median(beside):.3g} m or more" in doubt.text
     millimetres = unit_doubt(PLACED * 1000, "m", ["t"], EXTENT)
-    assert millimetres is not None
     assert millimetres.text.endswith("m cannot be its unit; mm would fit")
     assert millimetres.text.startswith("trial t: ")
 
@@ -251,7 +248,6 @@ def test_positions_a_little_beside_only_may_be_wrong() -> None:
     """Ask the reader to look where half of the bodies are beside the extent by less than its length."""
     for away, wrong in ((0.9, False), (1.6, False)):
         doubt = unit_doubt(PLACED + [away, 0.0], "m", ["t"], EXTENT)
-        assert doubt is not None
         assert doubt.wrong is wrong
         assert ": m may not be its unit" in doubt.text
 
@@ -259,7 +255,6 @@ def test_positions_a_little_beside_only_may_be_wrong() -> None:
 def test_bodies_on_top_of_each_other_are_in_another_unit() -> None:
     """Find a heap by the room that the bodies' edges leave, and name the unit that spreads it."""
     doubt = unit_doubt(PLACED * 0.01, "cm", ["t"], EXTENT)
-    assert doubt is not None
     assert doubt.wrong
     assert (
         "its 9 bodies with edges of 0.05 m lie within 0.008 m by 0.003 m: cm cannot be its unit; m would fit"
