@@ -5,9 +5,9 @@ usage: python -m benchmarks.jax_copies [--sim brax] [--scene inclined-collision]
 
 In one process and in turn, each from the state after the warm-up: the timed loop; the loop that keeps states on the
 device, with nothing copied; and blocks of that loop as the recorder makes them, two ahead, copied to pageable memory as
-JAX does by itself, or to pinned memory as the adapter does. All make the same steps; times are means of a step over all
-blocks after the first, because the first copy locks its pages. `--option ring=N` sets the steps that the
-device keeps, all of which are copied; a block has as many.
+JAX does by itself, or to pinned memory as the adapter does. All make the same steps; times are means of a step over the
+blocks after the first three. The first copy locks its pages, and the device makes the blocks ahead meanwhile.
+`--option ring=N` sets the steps that the device keeps, all of which are copied; a block has as many.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from gpusimbench.recorder.simulators.registry import find_simulator
 
 WARMUP = 100
 AHEAD = 2
+UNTIMED = AHEAD + 1  # blocks: the first copy, and those that the device makes while its pages are locked
 
 
 class Pageable(JaxBlock):
@@ -44,26 +45,27 @@ class Pageable(JaxBlock):
 
 
 def of_blocks(simulator: Any, kind: type[JaxBlock], blocks: int) -> float:
-    """Seconds of a step, of blocks made AHEAD of those that are waited for."""
+    """Seconds of a step, of blocks made AHEAD of those that are waited for, UNTIMED ones before them."""
     ahead: deque[JaxBlock] = deque()
     arrived = []
-    for made in range(blocks + AHEAD - 1):
-        if made < blocks:
+    for made in range(UNTIMED + blocks + AHEAD - 1):
+        if made < UNTIMED + blocks:
             ahead.append(kind([(simulator._ring, recorded(simulator))], simulator._split))
         if made >= AHEAD - 1:
             ahead.popleft().wait()
             arrived.append(time.perf_counter())
-    steps: int = (blocks - 1) * simulator._ring
-    return (arrived[-1] - arrived[0]) / steps
+    steps: int = blocks * simulator._ring
+    return (arrived[-1] - arrived[UNTIMED - 1]) / steps
 
 
 def of_calls(block: Callable[[], None], steps: int, blocks: int) -> float:
-    """Seconds of a step, of blocks made one after another."""
-    block()
-    begin = time.perf_counter()
-    for _ in range(blocks - 1):
+    """Seconds of a step, of blocks made one after another, UNTIMED ones before them."""
+    for _ in range(UNTIMED):
         block()
-    return (time.perf_counter() - begin) / (steps * (blocks - 1))
+    begin = time.perf_counter()
+    for _ in range(blocks):
+        block()
+    return (time.perf_counter() - begin) / (steps * blocks)
 
 
 def recorded(simulator: Any) -> Rings:

@@ -64,7 +64,7 @@ def test_one_declaration_is_in_all_outputs(with_steps: Metric, recordings: list[
     assert re.search(rf'<th class=num scope=col title="[^"]*">{re.escape(with_steps.titled)}</th>', page)
     assert f"<code>{with_steps.name}</code>" in page
     table = script("make_metrics").table()
-    assert f"| `{with_steps.name}` | {with_steps.title} | steps | higher | {with_steps.docs}" in table
+    assert f"| `{with_steps.name}` | {with_steps.title} | steps | higher | runs | {with_steps.docs}" in table
     files = table_files(report(Source(evaluation, False, "")), [Format.CSV])
     text = next(file.decode() for name, file in files.items() if name.startswith("costs."))
     titles, row = list(csv.reader(text.splitlines()))[:2]

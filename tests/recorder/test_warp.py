@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import Command
 from tests.recorder import engines
 from tests.recorder.engines import PAIR
+from tests.scripts import ROOT, script
 
 engines.needed("mujoco_warp")
 
@@ -44,6 +46,19 @@ def test_equals_a_plain_loop() -> None:
     simulator.step(20)
     positions = simulator.state()[0]
     assert positions.tobytes() == np.ascontiguousarray(data.qpos.numpy().reshape(2, 2, 7)[..., :3]).tobytes()
+
+
+@pytest.mark.slow
+def test_a_contact_far_from_its_boxes(capsys: pytest.CaptureFixture[str]) -> None:
+    """Say what the page on simulators says of the three collision functions; the bits of a CPU decide how often."""
+    script("far_contact").main()
+    lines = [line for line in capsys.readouterr().out.splitlines() if "contacts:" in line]
+    page = (ROOT / "docs" / "simulators.md").read_text(encoding="utf-8")
+    said, written = ([re.sub(r"\d+ of 511", "n of 511", line) for line in text] for text in (lines, page.splitlines()))
+    assert len(said) == 3
+    assert set(said) <= set(written)
+    often = [int(line.partition(" m in ")[2].partition(" of ")[0]) for line in lines]
+    assert [count > 0 for count in often] == [False, True, False]
 
 
 @pytest.mark.parametrize("asked", [1e-8, 1e-4])
