@@ -253,9 +253,21 @@ def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: 
         return Cell("yes", notes=(how, *notes), tone=Tone.GOOD)
     said = next((f"no, {far:.3g} {m.unit}" for m in apart if (far := _farthest(differ, m)) is not None), "no")
     if len(compared) > 1:
-        return Cell(said, notes=(f"{len(differ)} of {len(compared)} groups", *notes), tone=Tone.BAD)
+        where = _option_of([r for r, holds in compared if holds], differ)
+        return Cell(said, notes=(f"{len(differ)} of {len(compared)} groups", *where, *notes), tone=Tone.BAD)
     value = known(differ[0].metrics[counted.name].value) or 0.0
     return Cell(said, notes=(f"{value:.0f} distinct of {n}", *notes), tone=Tone.BAD)
+
+
+def _option_of(holding: Results, differing: Results) -> list[str]:
+    """The first option in their labels that all groups with a "yes" share and no other group has, in a line."""
+    held, others = ([_options_in(r.label) for r in some] for some in (holding, differing))
+    shared = [option for option in held[0] if all(option in options for options in held)] if held else []
+    return [f"yes with {option}" for option in shared if not any(option in options for options in others)][:1]
+
+
+def _options_in(label: str) -> list[str]:
+    return [part for part in label.partition("[")[2].rstrip("]").split(", ") if "=" in part]
 
 
 def _farthest(results: Results, metric: Metric) -> float | None:

@@ -100,11 +100,11 @@ def test_identical(value: float | None, n: int, without: int) -> None:
     assert (claim.holds is None) == bool(claim.why_not)
 
 
-def _result(value: float | None, n: int, level: str = "default") -> Any:
+def _result(value: float | None, n: int, level: str = "default", label: str = "engine") -> Any:
     metrics = {name: _estimate(name, None, 0) for name in METRICS}
     metrics |= {name: _estimate(name, value, n) for name in ("distinct_envs", "distinct_runs")}
     group = SimpleNamespace(key=SimpleNamespace(determinism=level), complete=(None,) * n)
-    return SimpleNamespace(metrics=metrics, group=group)
+    return SimpleNamespace(metrics=metrics, group=group, label=label)
 
 
 @given(st.lists(st.tuples(st.sampled_from([None, 1.0, 2.0]), st.integers(1, 3)), min_size=1, max_size=4))
@@ -120,6 +120,20 @@ def test_the_verdicts_of_a_report(groups: list[tuple[float | None, int]]) -> Non
             without = f", {plural(left, 'group')} not compared" if left else ""
             said = f"{of} of {len(compared)} groups" if of else f"all {len(compared)} groups{without}"
             assert answer.notes == (said,)
+
+
+@given(st.lists(st.tuples(st.sampled_from([1.0, 2.0]), *[st.sampled_from("ab")] * 2), min_size=2, max_size=5))
+def test_an_option_with_which_runs_repeat_is_named(groups: list[tuple[float, str, str]]) -> None:
+    """Name the first option that all groups with a yes share, and no group with a no has."""
+    results = [_result(value, 2, label=f"engine [default, x={x}, y={y}]") for value, x, y in groups]
+    held, differ = ([group[1:] for group in groups if group[0] == value] for value in (1.0, 2.0))
+    expected = [
+        f"yes with {name}={held[0][at]}"
+        for at, name in enumerate("xy")
+        if held and all(one[at] == held[0][at] for one in held) and all(one[at] != held[0][at] for one in differ)
+    ][:1]
+    notes = verdicts.repeats(results).notes
+    assert [note for note in notes if note.startswith("yes with")] == (expected if differ else [])
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.sampled_from([None, 1.0, 2.0])), max_size=6))
