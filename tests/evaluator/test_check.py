@@ -26,7 +26,7 @@ from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
-from tests.conftest import Command, run_python
+from tests.conftest import Command
 from tests.evaluator.damaged import BYTES, SCENE_CHANGED, whole
 from tests.synthetic import Shown, changing, configured, grid, write_recording
 from tests.test_docs import blocks, commands, shell
@@ -543,12 +543,6 @@ def test_document_commands(tmp_path: Path) -> None:
     assert len(lines) >= 4
     for line in lines:
         assert shell(line, tmp_path).stdout
-
-
-def test_document_python() -> None:
-    """Run the page's Python from the repository's root."""
-    (block,) = blocks(ROOT / "docs" / "check.md", "python")
-    run_python(block, cwd=ROOT)
 
 
 def test_document_rules(tmp_path: Path) -> None:
