@@ -28,7 +28,7 @@ COMMANDS = {
     "eval-sweep": ("eval", *(f"{_SWEEP}{n}-r0.mcap" for n in (512, 4096, 32768)), "--no-cache"),
     "check": ("check", *_FILES),
     "check-found": ("check", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "tests/hostile/found").glob("*.mcap"))),
-    "info": ("info", _FILES[0], f"{_SWEEP}4096-r0.mcap"),
+    "info": ("info", _FILES[0], f"{_SWEEP}4096-r0.mcap", "tests/hostile/found/summary-count.mcap"),
     "diff": ("diff", _FILES[0], _FILES[3]),
     "diff-envs": ("diff", "recordings/h200/physx-spacing-0-inclined-collision-n16-r0.mcap"),
     "compare": (

@@ -242,7 +242,7 @@ def _draft(pair: Pair, protocols: Sequence[Protocol], settings: Settings, work: 
     for axis, item in compare_episodes(base, head, settings):
         add(axis, item)
     timed_base, timed_head = (
-        timed_work(group.key, runs, protocol.of(group.recordings))
+        timed_work(group, runs, protocol.of(group.recordings))
         for group, runs, protocol in zip((pair.base, pair.head), (base, head), protocols, strict=True)
     )
     return _Draft(pair, base, head, schedule(base, head), tuple(items), (timed_base, timed_head))

@@ -1,14 +1,15 @@
 """Errors of recorders that were found after recordings had been made with them.
 
 An entry of KNOWN_ERRORS is all that an error needs: notes of gsb-eval and gsb-compare, gsb-check and gsb-info say it of
-each recording that shows it, and a throughput that is wrong has no value. A recording shows an error by what it states,
-never by its date or version: a checkout may be older than the day on which it is used, and may have changes. So a
-correction of a recorder also changes something that its recordings state.
+each recording that shows it, a wrong throughput has no value, and a wrong option is shown as it was in force. A
+recording shows an error by what it states, never by its date or version: a checkout may be older than the day on which
+it is used, and may have changes. So a correction of a recorder also changes something that its recordings state.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,7 @@ class KnownError:
     more         where the documents say more
     shown        whether a recording of this simulator has it, by what was asked and what the simulator said of itself
     timed_steps  whether the time of timed steps is wrong: throughput and capture overhead have no value then
+    in_force     options whose stated value is wrong, each with the value that was in force
     """
 
     simulator: str
@@ -36,6 +38,7 @@ class KnownError:
     more: str
     shown: Callable[[Described, Simulation], bool]
     timed_steps: bool = False
+    in_force: tuple[tuple[str, Any], ...] = ()
 
     @property
     def said(self) -> str:
@@ -68,6 +71,28 @@ def _without_multiccd(_: Described, simulation: Simulation) -> bool:
     )
 
 
+_TOLERANCE = 1e-6  # the least of MuJoCo Warp's put_model, which MJX and Playground do not take from it
+
+
+def _below_tolerance(_: Described, simulation: Simulation) -> bool:
+    stated = _stated(simulation).get("tolerance")
+    return isinstance(stated, float) and 0.0 <= stated < 0.999 * _TOLERANCE
+
+
+def _below_tolerance_of_mujoco(recording: Described, simulation: Simulation) -> bool:
+    return simulation.options.get("solver") == "mujoco" and _below_tolerance(recording, simulation)
+
+
+def _smaller_tolerance(simulator: str, shown: Callable[[Described, Simulation], bool]) -> KnownError:
+    return KnownError(
+        simulator,
+        "the stated tolerance is smaller than 1e-6, which was in force",
+        "docs/simulators.md, warp",
+        shown,
+        in_force=(("tolerance", _TOLERANCE),),
+    )
+
+
 KNOWN_ERRORS = (
     KnownError(
         "brax",
@@ -96,6 +121,8 @@ KNOWN_ERRORS = (
         "docs/simulators.md, newton",
         _without_multiccd,
     ),
+    _smaller_tolerance("newton", _below_tolerance_of_mujoco),
+    _smaller_tolerance("warp", _below_tolerance),
 )
 """All known errors."""
 
@@ -107,6 +134,17 @@ def known_errors(recording: Described) -> tuple[KnownError, ...]:
         return ()
     simulator = recording.configuration.simulator
     return tuple(e for e in KNOWN_ERRORS if e.simulator == simulator and e.shown(recording, simulation))
+
+
+def options_in_force(recording: Described) -> dict[str, Any]:
+    """Options as the engine stepped with them: as a known error, a deviation `option.NAME` with a number, or else the
+    engine's own record has them. Empty where the run ended before the engine said them."""
+    if recording.simulation is None:
+        return {}
+    found = _stated(recording.simulation)
+    for error in known_errors(recording):
+        found.update(error.in_force)
+    return found
 
 
 def wrong_time(recording: Described) -> str:
@@ -125,6 +163,17 @@ def notes(recordings: Sequence[Described]) -> list[str]:
         said if count == built else f"{count} of {plural(len(recordings), 'run')}: {said}"
         for said, count in found.items()
     ]
+
+
+def _stated(simulation: Simulation) -> dict[str, Any]:
+    # some adapters record a number of the model, and what the engine makes of it as a deviation
+    found = dict(simulation.options)
+    for deviation in simulation.deviations:
+        name = deviation.parameter.removeprefix("option.")
+        if name != deviation.parameter and isinstance(found.get(name), float):
+            with suppress(ValueError):
+                found[name] = float(deviation.used)
+    return found
 
 
 def _number(value: Any) -> float:

@@ -144,7 +144,7 @@ def evaluate_group(
         notes=(*_notes(group, runs, reference, sample_time), *doubts, *memory.notes(runs)),
         doubts=doubts,
         spreads=tuple(RunSpread(r.configuration.run_index, r.spread) for r in runs),
-        timed=timed_work(group.key, runs, unmet),
+        timed=timed_work(group, runs, unmet),
     )
     result = replace(result, notes=(*result.notes, *_warnings(result)))
     return result, known(group_runs.planar)

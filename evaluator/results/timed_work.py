@@ -11,7 +11,8 @@ from typing import Any, TypeVar
 
 from gpusimbench.evaluator.check.rules.findings import Unmet
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.runs.groups import GroupKey
+from gpusimbench.evaluator.read.known_errors import options_in_force
+from gpusimbench.evaluator.runs.groups import Group, GroupKey
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.permutation import ALPHA, p_value, ranges_of
 from gpusimbench.schemas.configuration import deciding
@@ -80,13 +81,13 @@ class TimedWork:
         return self.short or "timed-steps" in self.unmet.findings
 
 
-def timed_work(key: GroupKey, runs: Sequence[Run], unmet: Unmet) -> TimedWork:
-    """The timed work of a group: its key, its complete runs and the rules that its recordings do not meet."""
+def timed_work(group: Group[Run], runs: Sequence[Run], unmet: Unmet) -> TimedWork:
+    """The timed work of a group: with its complete runs and the rules that its recordings do not meet."""
     firsts = [run.timed_from for run in runs if not isinstance(run.timed_from, Missing)]
-    windows = {Window(first, first + key.timed_steps) for first in firsts}
+    windows = {Window(first, first + group.key.timed_steps) for first in firsts}
     seconds = [run.elapsed_s for run in runs if not isinstance(run.elapsed_s, Missing)]
     return TimedWork(
-        tuple(sorted(windows)), (min(seconds), max(seconds)) if seconds else None, _settings(key), unmet
+        tuple(sorted(windows)), (min(seconds), max(seconds)) if seconds else None, _settings(group), unmet
     )  # fmt: skip
 
 
@@ -128,8 +129,9 @@ def differing_settings(works: Iterable[TimedWork]) -> bool:
     return len({tuple(work.settings.items()) for work in works if work.windows}) > 1
 
 
-def _settings(key: GroupKey) -> dict[str, str]:
-    options = key.parsed_options
+def _settings(group: Group[Run]) -> dict[str, str]:
+    built = (run for run in group.recordings if run.simulation)
+    options = next(map(options_in_force, built), group.key.parsed_options)
     return {
         name: next((_text(options[n]) for n in names if options.get(n) is not None), "")
         for name, names in SETTINGS.items()

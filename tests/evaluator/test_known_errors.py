@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pytest
 
 from gpusimbench.evaluator.inputs.reader import Reader
 from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.read.known_errors import KNOWN_ERRORS, PREFIX, known_errors
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.document import Section
+from gpusimbench.evaluator.report.sections import provenance
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.recorder.simulators.mujoco.model import raised_tolerance
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import SIMULATION
 from tests.conftest import call
@@ -37,16 +45,87 @@ def errors_of(path: Path) -> list[str]:
 
 
 def test_shipped_recordings_with_a_known_error() -> None:
-    """Find the errors of one folder's card, and models on Newton from before a correction, and no other."""
-    found = Counter(
-        (path.parent.name, error.simulator)
-        for path in sorted((ROOT / "recordings").rglob("*.mcap"))
-        for error in known_errors(Recording(path))
-    )
+    """Find the errors of one folder's card, models on Newton from before a correction, everything that MuJoCo Warp
+    stepped before its tolerance was stated, and no other."""
+    found: Counter[tuple[str, str]] = Counter()
+    for path in sorted((ROOT / "recordings").rglob("*.mcap")):
+        recording = Recording(path)
+        errors = known_errors(recording)
+        found.update((path.parent.name, error.simulator) for error in errors if not error.in_force)
+        assert any(error.in_force for error in errors) == _raised_without_saying_so(recording), path
     assert found == {
         **{("h200", "brax"): 2, ("h200", "genesis"): 10, ("h200", "isaaclab"): 2},
         **{("ant", "newton"): 1, ("humanoid", "newton"): 2, ("manipulator", "newton"): 2},
     }
+
+
+def _raised_without_saying_so(recording: Recording) -> bool:
+    simulation, simulator = recording.simulation, recording.configuration.simulator
+    if simulation is None or any(deviation.parameter == "option.tolerance" for deviation in simulation.deviations):
+        return False
+    return simulator == "warp" or (simulator == "newton" and simulation.options["solver"] == "mujoco")
+
+
+RAISED = [asdict(deviation) for deviation in raised_tolerance(1e-8, float(np.float32(1e-6)))]
+"""What a recorder says of MuJoCo Warp's tolerance."""
+
+
+@pytest.mark.parametrize(
+    ("simulator", "options", "said", "shown", "in_force"),
+    [
+        ("warp", {"tolerance": 1e-8}, [], True, "1e-06"),
+        ("warp", {"tolerance": 1e-8}, RAISED, False, "1e-06"),
+        ("warp", {"tolerance": 0.0}, [], True, "1e-06"),
+        ("warp", {"tolerance": float(np.float32(1e-6))}, [], False, "1e-06"),
+        ("warp", {"tolerance": 1e-4}, [], False, "0.0001"),
+        ("warp", {"tolerance": 1e-8}, [{**RAISED[0], "used": "2e-05"}], False, "2e-05"),
+        ("warp", {"tolerance": 1e-8}, [{**RAISED[0], "used": "larger"}], True, "1e-06"),
+        ("warp", {"tolerance": "1e-08"}, [], False, "1e-08"),
+        ("warp", {}, RAISED, False, ""),
+        ("newton", {"tolerance": float(np.float32(1e-8)), "solver": "mujoco"}, [], True, "1e-06"),
+        ("newton", {"tolerance": 1e-8, "solver": "mujoco"}, RAISED, False, "1e-06"),
+        ("newton", {"tolerance": 1e-8, "solver": "xpbd"}, [], False, "1e-08"),
+        ("mjx", {"tolerance": 1e-8, "impl": "warp"}, [], False, "1e-08"),
+        ("mujoco", {"tolerance": 1e-8}, [], False, "1e-08"),
+    ],
+)  # fmt: skip
+def test_the_tolerance_in_force(
+    simulator: str, options: dict[str, Any], said: list[Any], shown: bool, in_force: str, tmp_path: Path
+) -> None:
+    """Show the tolerance that MuJoCo Warp had, whether a recording states it or not, and the stated one of others."""
+    path = write_recording(
+        tmp_path, None, simulator=simulator, in_force=options, change=changing(SIMULATION, deviations=said)
+    )
+    assert errors_of(path) == [simulator] * shown
+    (result,) = evaluate_files([path]).results
+    assert result.timed.settings["tolerance"] == in_force
+
+
+@pytest.mark.parametrize(
+    ("name", "tolerance"),
+    [
+        ("cpu/warp-*r0", "1e-06"),
+        ("sweeps-h100/newton-mujoco-franka-n4096-r0", "1e-06"),
+        ("protocol-h200/mjx-warp-*r0", "1e-08"),
+        ("protocol-h200/isaaclab-newton-*r0", "1e-06"),
+        ("mujoco-amd-r0", "1e-08"),
+    ],
+)
+def test_the_tolerance_of_shipped_recordings(name: str, tolerance: str) -> None:
+    """Show it beside the throughput, and in the list of options in force."""
+    evaluation = evaluate_files(sorted((ROOT / "recordings").glob(f"{name}.mcap"))[:1])
+    (result,) = evaluation.results
+    assert result.timed.settings["tolerance"] == tolerance
+    told = provenance.section(Source(evaluation, False, ""))
+    assert _facts(told, "Options in force")["tolerance"] == tolerance
+
+
+def _facts(section: Any, title: str) -> dict[str, str]:
+    """Values by name in the only part of a section that has a title."""
+    if section.title == title:
+        return {name: cell.text for facts in section.blocks for name, cell in facts.pairs}
+    parts = [part for part in section.blocks if isinstance(part, Section)]
+    return next((found for part in parts if (found := _facts(part, title))), {})
 
 
 def test_what_a_recording_shows_its_error_by(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from gpusimbench.evaluator.inputs.reader import Unreadable
 from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.read.known_errors import options_in_force
 from gpusimbench.evaluator.render.document import (
     EMPTY,
     Block,
@@ -71,8 +72,8 @@ def _blocks(number: int, result: GroupResult, machines: _Machines) -> Iterator[B
         "options": recordings[0].configuration.options if recordings else {},
     }  # fmt: skip
     yield _records(number, "What was asked", asked)
-    simulation = next((r.simulation for r in recordings if r.simulation), None)
-    if simulation is None:
+    built = next((r for r in recordings if r.simulation), None)
+    if built is None or (simulation := built.simulation) is None:
         yield Text("The runs ended before the engine said what it is.")
     else:
         told = {
@@ -81,7 +82,7 @@ def _blocks(number: int, result: GroupResult, machines: _Machines) -> Iterator[B
             **({"remarks": "; ".join(simulation.remarks)} if simulation.remarks else {}),
         }  # fmt: skip
         yield _records(number, "What the engine said", told)
-        yield _records(number, "Options in force", simulation.options)
+        yield _records(number, "Options in force", options_in_force(built))
         yield _records(number, "Switches in force", simulation.switches)
     for index, (runs, recording) in enumerate(_origins(result)):
         yield _origin(f"{number}-{index}", runs, recording, result.label, machines)

@@ -15,10 +15,10 @@ from gpusimbench.recorder.scenes.model import ModelScene
 from gpusimbench.recorder.simulators.buffer_sizes import measure
 from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS, Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
-from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene, raised_tolerance
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions, own_options
 from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
-from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.schemas.provenance import Buffer, Counter, Deviation, OverflowBit
 
 MODES = {"default": "not_guaranteed", "run-to-run": "run_to_run", "gpu-to-gpu": "gpu_to_gpu"}
 """Isaac Lab's deterministic_mode by determinism level."""
@@ -161,6 +161,11 @@ class Newton:
             "solimp": [float(number) for number in model.geom_solimp[0]],
             "condim": int(model.geom_condim[0]),
         }
+
+    def deviations(self) -> tuple[Deviation, ...]:
+        """What the solver has otherwise than the model that Newton gave it."""
+        held = float(self._solver.mjw_model.opt.tolerance.numpy()[0])
+        return raised_tolerance(self._solver.mj_model.opt.tolerance, held)
 
     def switches(self) -> dict[str, Any]:
         """What decides which bits come out."""

@@ -18,7 +18,7 @@ from gpusimbench.recorder.simulators.isaaclab.options import GPU_SIZES, IsaacLab
 from gpusimbench.recorder.simulators.isaaclab.scene import BODY_LIMITS
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.schemas.provenance import Buffer, Counter, Deviation, OverflowBit
 
 if TYPE_CHECKING:
     from gpusimbench.recorder.simulators.buffer_sizes import Need
@@ -132,6 +132,10 @@ class Physx:
         found = {name: getattr(options, name) for name in names}
         asked = {buffer.name: getattr(options, buffer.name) for buffer in self.buffers}
         return {**found, **asked, "solver": "TGS", **BODY_LIMITS}
+
+    def deviations(self) -> tuple[Deviation, ...]:
+        """None: what PhysX makes of parameters follows from the options."""
+        return ()
 
     def switches(self) -> dict[str, Any]:
         """What decides which bits come out."""

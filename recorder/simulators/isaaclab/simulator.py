@@ -159,11 +159,12 @@ class IsaacLab(Slotted):
         from gpusimbench.recorder.simulators.isaaclab.deviations import deviations
 
         found = deviations(self.scene, self.options)
+        of_solver = self._physics.deviations()
         if self._model is None:
-            return found
+            return (*found, *of_solver)
         from gpusimbench.recorder.simulators.isaaclab.model import as_physx
 
-        return (*found, *self._model.deviations(as_physx(self.options), gpu=self._device.is_cuda))
+        return (*found, *self._model.deviations(as_physx(self.options), gpu=self._device.is_cuda), *of_solver)
 
     def _option_names(self) -> tuple[str, ...]:
         sizes = ("max_contacts", "max_rows")  # said with the buffers
