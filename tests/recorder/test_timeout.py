@@ -221,8 +221,8 @@ def test_an_engine_that_never_returns(endless: dict[str, str], tmp_path: Path) -
 
 def test_an_engine_that_never_lets_its_process_end(endless: dict[str, str], tmp_path: Path) -> None:
     """Keep the whole recording of a run whose engine hangs when the process ends."""
-    done = _impatient(endless, "--n-env", 1, "--runs", 1, "--option", "mode=exit", "--timeout", 60, "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    once = ("--n-env", 1, "--runs", 1, "--timeout", 60, "--out", tmp_path)
+    done = _impatient(endless, *once, "--option", "mode=exit", code=0)
     assert read_end(Path(done.stdout.strip())).outcome.good
 
 
