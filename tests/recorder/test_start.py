@@ -67,6 +67,7 @@ def test_given_positions_are_from_the_origin_of_each_environment() -> None:
             assert (found[name] == expected).all()
 
 
+@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -74,6 +75,7 @@ def test_given_positions_are_from_the_origin_of_each_environment() -> None:
         ("mujoco", "--scene", "franka"),
         pytest.param(("calibration",), marks=pytest.mark.slow),
         pytest.param(("warp", "--option", "device=cpu"), marks=pytest.mark.slow),
+        pytest.param(("mjx", "--scene", "cube-toss"), marks=pytest.mark.slow),
     ],
     ids=" ".join,
 )
