@@ -8,6 +8,7 @@ import os
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -233,15 +234,17 @@ def test_mirror_images(tmp_path: Path) -> None:
     assert (found.found.differing, found.found.first_step, found.found.first.signs_differ) == (1, 5, True)
 
 
+def _why_not_asked(key: str, *recordings: Recording) -> str:
+    (arms,) = arms_of(recordings)
+    (found,) = (finding for finding in answers(arms) if finding.key == key)
+    assert found.answer is Answer.NOT_ASKED
+    return found.reason
+
+
 def test_mirror_images_that_are_not_asked(tmp_path: Path) -> None:
     """Say why, of old recordings without the arm, of a scene that has another mirror image, and of origins."""
     usual, mirrored = ARMS[1], ARMS[MIRRORED]
-
-    def reason(*recordings: Recording) -> str:
-        (arms,) = arms_of(recordings)
-        (found,) = (finding for finding in answers(arms) if finding.key == "mirrored")
-        assert found.answer is Answer.NOT_ASKED
-        return found.reason
+    reason = partial(_why_not_asked, "mirrored")
 
     tilted = changing(SCENE, gravity=[0.0, 1.0, -9.81])
     assert reason(_write(tmp_path, usual)) == "needs a run with --initial random:SPREAD,mirror:AXES"
@@ -289,12 +292,7 @@ def test_identical_bodies(tmp_path: Path) -> None:
 def test_identical_bodies_that_are_not_asked(tmp_path: Path) -> None:
     """Say why: of old recordings without the arm, of scenes without identical bodies, of bodies that vary."""
     usual, relabelled = ARMS[1], ARMS[RELABELLED]
-
-    def reason(*recordings: Recording) -> str:
-        (arms,) = arms_of(recordings)
-        (found,) = (finding for finding in answers(arms) if finding.key == "relabelled")
-        assert found.answer is Answer.NOT_ASKED
-        return found.reason
+    reason = partial(_why_not_asked, "relabelled")
 
     old = _write(tmp_path, usual)
     assert reason(old) == "needs a run with --initial random:SPREAD,relabel:ORDER"
