@@ -17,6 +17,7 @@ from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
+from gpusimbench.evaluator.runs.labels import parts_of
 
 ROOT = Path(__file__).resolve().parent.parent
 _TITLE, _INDENT, _GAP = 40, 44, 20
@@ -45,9 +46,9 @@ def picture(evaluation: Evaluation) -> str:
         box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', one)
         assert box is not None
         width, tall = map(float, box.groups())
-        name, _, settings = result.label.partition(" [")
+        name, settings = parts_of(result.label)
         placed = one.replace("<svg ", f'<svg x="{left:g}" y="{_TITLE}" width="{width}" height="{tall}" ', 1)
-        title = text(name, left + _INDENT, 14) + text(settings.rstrip("]"), left + _INDENT, 30, class_="small")
+        title = text(name, left + _INDENT, 14) + text(", ".join(settings), left + _INDENT, 30, class_="small")
         parts.append(title + placed)
         left, height = left + width + _GAP, max(height, tall + _TITLE)
     return (

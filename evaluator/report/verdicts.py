@@ -22,6 +22,7 @@ from gpusimbench.evaluator.results.joint_metrics import TO_REFERENCE as JOINTS_T
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_LOCAL_POSITION, TOSS_POSITION, TOSS_ROTATION
+from gpusimbench.evaluator.runs.labels import parts_of
 from gpusimbench.evaluator.runs.physics.facts import NEWEST
 from gpusimbench.schemas.text import cut, few, plural
 from gpusimbench.schemas.treatment import Intervention
@@ -261,13 +262,9 @@ def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: 
 
 def _option_of(holding: Results, differing: Results) -> list[str]:
     """The first option in their labels that all groups with a "yes" share and no other group has, in a line."""
-    held, others = ([_options_in(r.label) for r in some] for some in (holding, differing))
-    shared = [option for option in held[0] if all(option in options for options in held)] if held else []
-    return [f"yes with {option}" for option in shared if not any(option in options for options in others)][:1]
-
-
-def _options_in(label: str) -> list[str]:
-    return [part for part in label.partition("[")[2].rstrip("]").split(", ") if "=" in part]
+    held, others = ([parts_of(r.label)[1] for r in some] for some in (holding, differing))
+    shared = [part for part in held[0] if "=" in part and all(part in parts for parts in held)] if held else []
+    return [f"yes with {option}" for option in shared if not any(option in parts for parts in others)][:1]
 
 
 def _farthest(results: Results, metric: Metric) -> float | None:

@@ -72,6 +72,12 @@ def labels(keys: Sequence[GroupKey], given: Given = NONE_GIVEN, *, beside: Colle
     ]
 
 
+def parts_of(label: str) -> tuple[str, list[str]]:
+    """The simulator, and what tells it from its others, of a name that `labels` made."""
+    name, _, parts = label.partition(" [")
+    return name, parts.rstrip("]").split(", ") if parts else []
+
+
 def row_names(keys: Sequence[GroupKey], given: Given, marks: Sequence[str]) -> list[str]:
     """A name for each key in a table with columns of `PLACE`: the simulator, and what tells it from its others.
 
