@@ -54,7 +54,9 @@ def helpers(of: int | None = None) -> list[psutil.Process]:
     found = []
     for child in psutil.Process(of).children():
         with suppress(psutil.NoSuchProcess):  # it has ended meanwhile
-            if "work_child" in " ".join(child.cmdline()):
+            while not (command := child.cmdline()):  # Popen returns before Linux shows the new program's command
+                time.sleep(0.001)
+            if "work_child" in " ".join(command):
                 found.append(child)
     return found
 
