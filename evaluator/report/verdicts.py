@@ -36,6 +36,7 @@ NOT_COMPARED = "not compared"
 TIMED = "timed"
 """After an answer: no states were captured, and those that the timed phase hashed were compared."""
 AT_TIMED = "at steps of the timed phase"
+_MEANING = f"{TIMED}: at the first and last step of the timed phase, where no states were captured"
 
 
 @dataclass(frozen=True)
@@ -205,14 +206,14 @@ QUESTIONS = (
     Question(
         "repeats itself",
         "yes: all runs of a configuration have the same bits at every step; no: largest W1 between runs, or "
-        "distance in joint space",
+        f"distance in joint space; {_MEANING}",
         repeats,
         "repeats",
     ),
     Question(
         "envs alike",
         "yes: all environments of a run have the same bits at every step; no: largest W1 between envs, or "
-        "distance in joint space",
+        f"distance in joint space; {_MEANING}",
         alike,
     ),
     Question("valid", "yes: no run dropped contacts or constraints, as far as the engine reports it", valid),
