@@ -1,9 +1,10 @@
-"""The machine that records."""
+"""The machine that records, and its clock."""
 
 from __future__ import annotations
 
 import os
 import platform
+import time
 from pathlib import Path
 from typing import Any
 
@@ -107,3 +108,24 @@ def _cpu_flags() -> list[str]:
     relevant = ("sse4_2", "avx", "avx2", "fma", "avx512f", "avx512vl", "avx512_bf16", "amx_tile", "asimd", "sve")
     present = set((_cpuinfo("flags") or _cpuinfo("Features")).split())
     return [flag for flag in relevant if flag in present]
+
+
+LAST_NS = 2**63 - 1
+"""The largest time that a recording holds [ns]: a moment in 2262."""
+
+
+def calendar_ns() -> int:
+    """UTC since the Unix epoch [ns]; 0 where the machine's clock stands before it, LAST_NS behind what can be held."""
+    return min(max(0, time.time_ns()), LAST_NS)
+
+
+def clock_problem() -> str:
+    """What is wrong with the machine's clock, and what is recorded instead; empty where nothing is."""
+    now = time.time_ns()
+    if 0 <= now <= LAST_NS:
+        return ""
+    when, instead = ("before 1970", "1970-01-01T00:00:00Z") if now < 0 else ("behind 2262", "the last moment that fits")
+    return (
+        f"this machine's clock stands {when}: calendar times within the recording are {instead}; set the clock. "
+        "No interval is measured by it"
+    )

@@ -9,9 +9,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.location import redacted
-from gpusimbench.schemas.text import line
+from gpusimbench.schemas.text import did_you_mean, line
 
 _EXAMPLES = "\nexamples:\n"
 _WIDTH = 118

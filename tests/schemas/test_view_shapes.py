@@ -8,8 +8,8 @@ import pytest
 
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.view.foxglove import entity
+from gpusimbench.schemas.view.geometry import Shape, Solid, links_of, solids_of
 from gpusimbench.schemas.view.kinematics import Link
-from gpusimbench.schemas.view.shapes import Shape, Solid, links_of, solids_of
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 LYING = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)  # z to x
