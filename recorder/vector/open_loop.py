@@ -11,8 +11,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.vector.fields import field_of
-from gpusimbench.recorder.vector.infos import given
+from gpusimbench.recorder.vector.fields import field_of, given
 from gpusimbench.recorder.vector.modes import Mode, mode_of
 from gpusimbench.recorder.vector.part import ACTION, GivenEpisode, attachments
 from gpusimbench.recorder.vector.starts import begin_at

@@ -19,8 +19,8 @@ from gpusimbench.recorder.simulators.isaaclab.physx import Physx
 from gpusimbench.recorder.simulators.isaaclab.world import World
 from gpusimbench.recorder.simulators.physx.articulations import first_state, layout_of, reference_poses
 from gpusimbench.recorder.simulators.physx.model import Model
+from gpusimbench.recorder.simulators.physx.plan import Tree
 from gpusimbench.recorder.simulators.physx.servos import TARGETS
-from gpusimbench.recorder.simulators.physx.trees import Tree
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.fields import StateField

@@ -12,8 +12,8 @@ from gpusimbench.recorder.scenes.emit.usd import MATERIALS, env_path
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
 from gpusimbench.recorder.simulators.physx.model import Model
 from gpusimbench.recorder.simulators.physx.options import NO_THRESHOLD, PhysxOptions, apis
+from gpusimbench.recorder.simulators.physx.plan import Plan, Tree
 from gpusimbench.recorder.simulators.physx.stage import SHARED
-from gpusimbench.recorder.simulators.physx.trees import Plan, Tree
 
 _ROOT = "{ENV_REGEX_NS}/model"
 _SETTINGS = (
