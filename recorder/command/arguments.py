@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from gpusimbench.recorder.command.parser import EPILOG, USAGE, RecordParser, names
-from gpusimbench.schemas.commands.command_line import add_common
+from gpusimbench.schemas.commands.parser import add_common
 from gpusimbench.schemas.configuration import CAPTURE_MODES, USUAL_PHASES
 from gpusimbench.schemas.treatment import KINDS
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.fields import field_of
-from gpusimbench.recorder.vector.origin import STATED
-from gpusimbench.recorder.vector.part import State
+from gpusimbench.recorder.vector.origin import STATED, State
 from gpusimbench.recorder.vector.starts import Started
 from gpusimbench.schemas.errors import UsageError
 

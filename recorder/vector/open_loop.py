@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.fields import field_of, given
 from gpusimbench.recorder.vector.modes import Mode, mode_of
-from gpusimbench.recorder.vector.part import ACTION, GivenEpisode, attachments
+from gpusimbench.recorder.vector.origin import ACTION, GivenEpisode, attachments
 from gpusimbench.recorder.vector.starts import begin_at
 from gpusimbench.recorder.vector.wrap import wrap
 from gpusimbench.recorder.vector.wrapper import OF_MUJOCO, Recorded

@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from gpusimbench.recorder.vector.part import GivenEpisode, State
+from gpusimbench.recorder.vector.origin import GivenEpisode, State
 from gpusimbench.schemas.errors import UsageError
 
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.view.coordinates import Coordinate
-from gpusimbench.schemas.view.kinematics import ROBOT, Joint, Key, Link, Vector, product, rotate
+from gpusimbench.schemas.view.kinematics import ROBOT, Coordinate, Joint, Key, Link, Vector, product, rotate
 
 IDENTITY: Vector = (1.0, 0.0, 0.0, 0.0)
 MAX_LINKS = 1000
