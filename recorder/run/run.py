@@ -29,8 +29,14 @@ from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.view import LogWriter
 from gpusimbench.recorder.failure import Interrupted, TimedOut, cause_of
 from gpusimbench.recorder.probes.gpu import Gpus
-from gpusimbench.recorder.probes.host import clock_problem, describe_host, numeric_environment, peak_rss_bytes
-from gpusimbench.recorder.probes.software import describe_software, package_list
+from gpusimbench.recorder.probes.host import (
+    clock_problem,
+    describe_host,
+    describe_software,
+    numeric_environment,
+    package_list,
+    peak_rss_bytes,
+)
 from gpusimbench.recorder.run import vary
 from gpusimbench.recorder.run.capture_phase import CapturePhase
 from gpusimbench.recorder.run.engine import Engine, apply_environment
