@@ -140,14 +140,14 @@ def _body(body: Body, name: str, material: str, apis: Apis) -> Prim:
             "quatf physics:principalAxes = (1, 0, 0, 0)",
         ]
         prim.apply(apis, "PhysxRigidBodyAPI")
-    prim.add(collider(body.shape, "shape", material, apis))
+    prim.add(collider(body.shape, material, apis))
     return prim
 
 
-def collider(shape: Shape, name: str, material: str, apis: Apis) -> Prim:
-    """A shape at the origin of its parent, bound to the material of that path."""
+def collider(shape: Shape, material: str, apis: Apis) -> Prim:
+    """A prim "shape" at the origin of its parent, bound to the material of that path."""
     kind, properties, scale = _geometry(shape)
-    prim = Prim(kind, name, ["PhysicsCollisionAPI", "MaterialBindingAPI"], properties)
+    prim = Prim(kind, "shape", ["PhysicsCollisionAPI", "MaterialBindingAPI"], properties)
     prim.properties.append(f"rel material:binding:physics = <{material}>")
     if scale is not None:
         prim.properties += operation_lines({"double3 xformOp:scale": tuple_text(scale)})
@@ -227,7 +227,7 @@ def _link(link: Link, name: str, pose: tuple[Vector, Quaternion], material: str,
     for index, placed in enumerate(link.shapes):
         place = prim.add(Prim("Xform", f"shape_{index}"))
         place.properties = pose_lines(placed.position, placed.orientation)
-        place.add(collider(placed.shape, "shape", material, apis))
+        place.add(collider(placed.shape, material, apis))
     return prim
 
 

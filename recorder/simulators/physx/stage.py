@@ -185,7 +185,7 @@ class _Writer:
                 'uniform token axis = "Z"',
             ]
         else:
-            prim = collider(_shape(kind, sizes), "shape", material, self._apis)
+            prim = collider(_shape(kind, sizes), material, self._apis)
         _filter(prim, [self._geom_path(other) for other in self._apart.geoms.get(geom, ())])
         if self._words is not None:
             prim.properties += self._words.geom(geom)
