@@ -213,7 +213,7 @@ def _apart(robot: Robot, link: Link, path: str, words: Mapping[str, str]) -> lis
 
 def _link(link: Link, name: str, pose: tuple[Vector, Quaternion], material: str, apis: Apis, apart: list[str]) -> Prim:
     prim = Prim("Xform", name, ["PhysicsRigidBodyAPI", "PhysicsMassAPI"], pose_lines(*pose))
-    moments, axes = _principal(link.inertial)
+    moments, axes = principal_axes(link.inertial)
     prim.properties += [
         f"float physics:mass = {literal(link.inertial.mass)}",
         f"point3f physics:centerOfMass = {tuple_text(link.inertial.centre)}",
@@ -279,8 +279,8 @@ def _joint(
     return prim
 
 
-def _principal(inertial: Inertial) -> tuple[Vector, Quaternion]:
-    """Principal moments and the rotation to their axes, of a symmetric inertia tensor."""
+def principal_axes(inertial: Inertial) -> tuple[Vector, Quaternion]:
+    """Principal moments of inertia [kg m2], and the orientation of their axes in the link's frame, wxyz."""
     xx, yy, zz, xy, xz, yz = inertial.inertia
     moments, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
     if np.linalg.det(axes) < 0:
