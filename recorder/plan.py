@@ -13,9 +13,9 @@ from pathlib import Path
 from gpusimbench.recorder.abilities import listed
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas import PARTIAL
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import CAPTURE_MODES, MAX_ENVS, MAX_VIEW, OPTIONAL_PHASES, RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError, UsageError
+from gpusimbench.schemas.text import did_you_mean
 from gpusimbench.schemas.treatment import KINDS, MOST_METRES, Intervention, Keep
 from gpusimbench.schemas.writing import Taken, create, give_name
 

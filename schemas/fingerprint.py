@@ -112,9 +112,9 @@ def _compile() -> None:
     # Pythons of engines have no numba, and a broken numba, or its cache, raises errors of any kind; hashes by numpy are
     # the same, and no recording is lost for want of faster ones
     with suppress(Exception):
-        from gpusimbench.schemas.fingerprint_compiled import add_hashes
+        from gpusimbench.schemas.compiled import hash_loop
 
-        _compiled = add_hashes
+        _compiled = hash_loop()
 
 
 def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:

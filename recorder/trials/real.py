@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.plan import MIN_DT, prepare_folder, release, reserve, utc_now
-from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.recorder.probes.host import describe_software
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.trials.tosses import VARIABLE, read_tosses

@@ -22,7 +22,7 @@ from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PR
 from gpusimbench.evaluator.check.rules.rule import SHIPPED, Scope, Severity, load_rules, parse_rules
 from gpusimbench.evaluator.cli.check import main
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION

@@ -18,7 +18,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.info import info_document
 from gpusimbench.recorder.log import RecordingWriter
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.fields import array_field, body_field
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION, OverflowBit

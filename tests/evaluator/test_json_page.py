@@ -21,7 +21,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.details import Details
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.statistics.permutation import Floor
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from tests.conftest import call, recorded, run_python
 from tests.json_keys import NAMES, Keys, broken, check, keys_of, write
 from tests.test_docs import blocks, commands, shell

@@ -10,7 +10,7 @@ import pytest
 
 from gpusimbench import UsageError, open_recording, wrap
 from gpusimbench.evaluator.read.episodes import episode_table
-from gpusimbench.recorder.vector.infos import info_arrays
+from gpusimbench.recorder.vector.fields import info_arrays
 from gpusimbench.recorder.vector.modes import Mode
 from tests.reading import verified
 
