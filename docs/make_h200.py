@@ -31,6 +31,7 @@ from gpusimbench.evaluator.report.words import EXCHANGED, exchanged
 from gpusimbench.evaluator.results.details import DistinctEnvs
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT, price_list
 from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
+from gpusimbench.evaluator.results.identity_metrics import identical
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, SweepPoint
 from gpusimbench.evaluator.runs.groups import GroupKey
@@ -231,8 +232,11 @@ def sweeps(evaluation: Evaluation) -> str:
 
 
 def points(evaluation: Evaluation) -> str:
-    """The throughput of each number of environments, as a Markdown table."""
-    titles = ("scene", "simulator", "N", "runs", "env-steps/s", "relative SD", "timed steps", "seconds timed")
+    """Throughput of each number of environments, and whether its runs repeat themselves, as a Markdown table."""
+    titles = (
+        "scene", "simulator", "N", "runs", "repeats itself", "env-steps/s", "relative SD", "timed steps",
+        "seconds timed",
+    )  # fmt: skip
     rows = []
     for sweep in _sweeps(evaluation):
         for point in sweep.points:
@@ -241,11 +245,18 @@ def points(evaluation: Evaluation) -> str:
                 continue
             share = 100 * (fps.sd or 0.0) / mean
             rows.append((
-                sweep.key.scene, sweep.label, f"{point.n_env:,}", str(fps.n), mean_sd(fps),
+                sweep.key.scene, sweep.label, f"{point.n_env:,}", str(fps.n), _repeats(point.result), mean_sd(fps),
                 f"{share:.1f} %" if share >= 0.05 else f"{share:.1g} %",
                 timed.steps(point.result.timed), timed.seconds(point.result.timed),
             ))  # fmt: skip
     return "\n".join(_rows(titles, rows))
+
+
+def _repeats(result: GroupResult) -> str:
+    # all answers of this table are by timed steps, which the text around it says
+    count = result.metrics["distinct_runs"]
+    claim = identical(count)
+    return "yes" if claim.yes else _NONE if claim.holds is None else f"no, {count.value:.0f} distinct"
 
 
 def answers(evaluation: Evaluation) -> str:

@@ -14,7 +14,13 @@ from gpusimbench.evaluator.missing import Missing, every, known
 from gpusimbench.evaluator.report.words import trouble
 from gpusimbench.evaluator.results.fidelity import CheckVerdict, Fidelity, FidelityRow, fidelity
 from gpusimbench.evaluator.results.group_runs import GroupRuns, Runs
-from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, comparable, identical
+from gpusimbench.evaluator.results.identity_metrics import (
+    DISTINCT_ENVS,
+    DISTINCT_RUNS,
+    comparable,
+    hashed_by,
+    identical,
+)
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Measured
@@ -127,8 +133,8 @@ def _ended(group: Group[Run]) -> str:
 
 
 def compare_determinism(base: GroupRuns, head: GroupRuns) -> Sequence[Finding]:
-    """Whether environments, and runs, are bit-identical on either side; empty where no states were captured."""
-    if not any(r.histories for r in (*base.runs, *head.runs)):
+    """Whether environments, and runs, are bit-identical on either side; empty where no states were hashed."""
+    if not any(hashed_by(side.runs)[0] for side in (base, head)):
         return ()
     n = len(base.runs), len(head.runs)
     return [
@@ -143,24 +149,28 @@ def all_alike(side: GroupRuns) -> bool:
 
 
 def compare_bits(base: Runs, head: Runs) -> Finding | None:
-    """Whether head's states are base's, bit for bit, and if not, from which step on; None where none were captured."""
-    if not any(r.histories for r in (*base, *head)):
+    """Whether head's states are base's, bit for bit, and if not, from which step on; None where none were hashed."""
+    hashed, timed = hashed_by([*base, *head])
+    if not hashed:
         return None
     n = (len(base), len(head))
-    method = "64-bit state hashes of every environment at every captured step"
+    which = "the first and the last timed step (no states were captured)" if timed else "every captured step"
+    method = f"64-bit state hashes of every environment at {which}"
     pair = _one_of_each(base, head, complete=True)
     if isinstance(pair, Missing):
         return not_compared(Axis.BITS, "states", _STATES, pair.reason)
     since = _first_apart(*pair)
     same = since is None
+    differ = f"differ at step {since} of the timed phase" if timed else f"differ from step {since} on"
     if not same and min(n) < 2:
         why = (
-            f"they differ from step {since} on (gsb-diff shows in which arrays), but runs of one side may differ too: "
+            f"they {differ} (gsb-diff shows in which arrays), but runs of one side may differ too: "
             "needs two runs a side"
         )
         return not_compared(Axis.BITS, "states", _STATES, why)
     rows = min(len(side.steps) for side in pair)
-    said = f"bit-identical at {plural(rows, 'step')}" if same else f"differ from step {since} on"
+    steps = f"{plural(rows, 'step')}{' of the timed phase' if timed else ''}"
+    said = f"bit-identical at {steps}" if same else differ
     change = Change.SAME if same else Change.CHANGED
     return Finding(Axis.BITS, "states", _STATES, change, said=("", said), n=n, method=method)
 
@@ -169,12 +179,13 @@ def _one_of_each(base: Runs, head: Runs, *, complete: bool) -> tuple[Histories, 
     """The states of a run of each side, which stand for those of all of its runs; Missing where they do not, or cannot
     be compared.
 
-    complete  all runs must have captured states, not one of each side alone
+    complete  the states of all runs must have been hashed, not those of one of each side alone
     """
     runs = [*base, *head]
     if len(set(map(comparable, runs))) > 1:
         return Missing("the scene, the seed of the actions or the layout of the states differs")
-    found = [[r.histories for r in side if r.histories] for side in (base, head)]
+    _, timed = hashed_by(runs)
+    found = [[h for r in side if (h := r.timed_histories if timed else r.histories)] for side in (base, head)]
     if not all(found) or (complete and sum(map(len, found)) < len(runs)):
         return Missing("not all runs captured states")
     for name, side in zip(("base", "head"), found, strict=True):

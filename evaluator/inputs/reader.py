@@ -129,11 +129,15 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
     sunk = count_sunk(recording)
     timing, timed = recording.timing, timed_of(recording)
     gpu = gpu_memory(recording)
-    captured = recording.fingerprints("capture")
+    captured, of_timed = recording.fingerprints("capture"), recording.fingerprints("timed")
     if recording.configuration.keep:
         histories: Histories | Missing = Missing(ONLY_FAILING)  # hashes of the first state and the last are no history
     else:
         histories = histories_of(captured) if captured is not None else Missing("no states were captured")
+    if captured is None:
+        ends: Histories | Missing = histories_of(of_timed) if of_timed is not None else Missing("no states were hashed")
+    else:
+        ends = Missing("captured states tell more")
     return replace(
         run,
         elapsed_s=timed if isinstance(timed, Missing) else timed[1],
@@ -146,7 +150,8 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
         capture_s=timing["capture"].elapsed_s if "capture" in timing else Missing("the capture was not clocked"),
         stalled_s=timing["stall"].total_s if "stall" in timing else 0.0,
         histories=histories,
-        observed=_observed(recording.fingerprints("timed"), captured, recording.configuration.intervention),
+        timed_histories=ends,
+        observed=_observed(of_timed, captured, recording.configuration.intervention),
         positions=positions,
         joints=sample_joints(recording, sample_time),
         reached=_reached(recording, sample_time),

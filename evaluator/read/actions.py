@@ -68,15 +68,15 @@ class ActionContents:
             return read()
 
 
-def apart_by_design(actions: tuple[str, ...], fields: tuple[StateField, ...], configuration: RunConfiguration) -> str:
+def apart_by_design(acted: bool, fields: tuple[StateField, ...], configuration: RunConfiguration) -> str:
     """Why the environments of a run differ whatever its engine does; empty where they should be alike.
 
-    actions  names of the recorded action streams
-    fields   that were recorded
+    acted   whether actions were applied
+    fields  that were recorded
     """
     if any(field.group == ENV for field in fields):
         return "seeds and actions of environments differ by design"
-    if actions and not alike(configuration.actions):
+    if acted and not alike(configuration.actions):
         return "the environments were given different actions, so they differ by design"
     if configuration.vary:
         return f"environments differ by --vary {configuration.vary}"

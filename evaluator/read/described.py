@@ -49,6 +49,11 @@ class Described(ABC):
         """Names of the recorded action streams."""
 
     @property
+    @abstractmethod
+    def acted(self) -> bool:
+        """Whether actions were applied in any phase."""
+
+    @property
     def configuration(self) -> RunConfiguration:
         """The configuration that was asked of the run."""
         return self.provenance.configuration
@@ -76,7 +81,7 @@ class Described(ABC):
     @property
     def apart_by_design(self) -> str:
         """Why the environments differ whatever the engine does; empty where they should be alike."""
-        return apart_by_design(self.action_names, self.fields, self.configuration)
+        return apart_by_design(self.acted, self.fields, self.configuration)
 
 
 def unconfirmed(path: Place) -> str:

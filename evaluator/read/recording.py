@@ -161,6 +161,11 @@ class Recording(Described):
         """The actions that were applied, by phase."""
         return read_action_streams(self._messages, n_env=self.configuration.n_env)
 
+    @property
+    def acted(self) -> bool:
+        """Whether actions were applied; those of a phase without states are known by their generator alone."""
+        return bool(self.action_names or self.action_streams)
+
     def fingerprints(self, phase: str) -> Fingerprints | None:
         """State hashes of a phase ("capture", "timed"); None where it has none."""
         if phase in self._hashes:

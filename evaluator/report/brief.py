@@ -19,6 +19,7 @@ from gpusimbench.evaluator.report.sections.scaling import sentence as sweep_sent
 from gpusimbench.evaluator.report.verdicts import (
     NOT_COMPARED,
     QUESTIONS,
+    TIMED,
     TO_REFERENCE,
     Question,
     another_run,
@@ -97,7 +98,10 @@ def _says(result: GroupResult) -> str:
     n = result.metrics[DISTINCT_RUNS.name].n
     if holds.holds is None:
         return f"whether it repeats itself is not known: {holds.why_not}"
-    return f"all {n} runs are bit-identical" if holds.holds else f"{n} runs, and not all are bit-identical"
+    at = words.timed_steps(result.metrics[DISTINCT_RUNS.name])
+    return (f"all {n} runs are bit-identical" if holds.holds else f"{n} runs, and not all are bit-identical") + (
+        f" {at}" if at else ""
+    )
 
 
 def _one(result: GroupResult) -> Facts:
@@ -211,6 +215,10 @@ def _signs(rows: Sequence[Sequence[Cell | str]], results: Sequence[GroupResult])
         (NONE in shown, f"{NONE}: not known or not reported"),
         (bool(centimetres := meaning_of_cm(shown, results)), centimetres),
         (any(said.endswith(" x 0") for said in shown), "x 0: no complete run"),
+        (
+            any(said.endswith(f", {TIMED}") for said in shown),
+            f"{TIMED}: at the first and last step of the timed phase; no states were captured",
+        ),
     )
     return "; ".join(meaning for there, meaning in meanings if there)
 

@@ -33,6 +33,10 @@ _DEFAULT = "default"
 _UNMEASURED = 3  # laws that a note names
 NOT_COMPARED = "not compared"
 """The answer where nothing could be compared."""
+TIMED = "timed"
+"""After an answer: no states were captured, and those that the timed phase hashed were compared."""
+AT_TIMED = "at steps of the timed phase"
+_MEANING = f"{TIMED}: at the first and last step of the timed phase, where no states were captured"
 
 
 @dataclass(frozen=True)
@@ -202,14 +206,14 @@ QUESTIONS = (
     Question(
         "repeats itself",
         "yes: all runs of a configuration have the same bits at every step; no: largest W1 between runs, or "
-        "distance in joint space",
+        f"distance in joint space; {_MEANING}",
         repeats,
         "repeats",
     ),
     Question(
         "envs alike",
         "yes: all environments of a run have the same bits at every step; no: largest W1 between envs, or "
-        "distance in joint space",
+        f"distance in joint space; {_MEANING}",
         alike,
     ),
     Question("valid", "yes: no run dropped contacts or constraints, as far as the engine reports it", valid),
@@ -247,17 +251,20 @@ def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: 
         return Cell(NOT_COMPARED, notes=(*([cut(why, 80)] if why else []), *notes), tone=Tone.QUIET)
     differ = [r for r, holds in compared if not holds]
     n = compared[0][0].metrics[counted.name].n
+    timed = [said for r, _ in compared if (said := words.timed_steps(r.metrics[counted.name]))]
+    mark = f", {TIMED}" if len(timed) == len(compared) else ""
+    at = list(dict.fromkeys(timed)) if mark else [f"{len(timed)} of them {AT_TIMED}"] if timed else []
     if not differ:
         how = f"all {n} {what}" if len(compared) == 1 else f"all {len(compared)} groups"
         if left := sum(bool(r.group.complete) for r, claim in claims if claim.holds is None):
             how = f"{how}, {plural(left, 'group')} not compared"
-        return Cell("yes", notes=(how, *notes), tone=Tone.GOOD)
-    said = next((f"no, {far:.3g} {m.unit}" for m in apart if (far := _farthest(differ, m)) is not None), "no")
+        return Cell(f"yes{mark}", notes=(how, *at, *notes), tone=Tone.GOOD)
+    said = next((f"no, {far:.3g} {m.unit}" for m in apart if (far := _farthest(differ, m)) is not None), f"no{mark}")
     if len(compared) > 1:
         where = _option_of([r for r, holds in compared if holds], differ)
-        return Cell(said, notes=(f"{len(differ)} of {len(compared)} groups", *where, *notes), tone=Tone.BAD)
+        return Cell(said, notes=(f"{len(differ)} of {len(compared)} groups", *at, *where, *notes), tone=Tone.BAD)
     value = known(differ[0].metrics[counted.name].value) or 0.0
-    return Cell(said, notes=(f"{value:.0f} distinct of {n}", *notes), tone=Tone.BAD)
+    return Cell(said, notes=(f"{value:.0f} distinct of {n}", *at, *notes), tone=Tone.BAD)
 
 
 def _option_of(holding: Results, differing: Results) -> list[str]:

@@ -14,6 +14,8 @@ from gpusimbench.evaluator.render.numbers import NONE, distance, length, mean_sd
 from gpusimbench.evaluator.results.details import (
     BetweenRuns,
     CaptureOverhead,
+    DistinctEnvs,
+    DistinctRuns,
     Equality,
     Growth,
     PublishedType,
@@ -78,6 +80,15 @@ def count_of(metric: Estimate) -> str:
     return NONE if isinstance(metric.value, Missing) else f"{metric.value:.0f} of {metric.n}"
 
 
+def timed_steps(metric: Estimate) -> str:
+    """Which states of the timed phase were compared by bits, where none were captured; empty where some were."""
+    details = metric.details
+    steps = details.timed_steps if isinstance(details, DistinctEnvs | DistinctRuns) else None
+    if not steps:
+        return ""
+    return f"at step{'s' if len(steps) > 1 else ''} {' and '.join(map(str, steps))} of the timed phase"
+
+
 def repeating(claims: Sequence[bool | None]) -> str:
     """How many groups repeat themselves bit for bit, of those of which it is known."""
     yes, of = claims.count(True), sum(claim is not None for claim in claims)
@@ -131,7 +142,8 @@ def all_alike(metric: Estimate) -> str:
     claim = identical(metric)
     if claim.holds is None:
         return f"not compared: {claim.why_not}"
-    return "all alike, bit by bit" if claim.yes else ""
+    at = timed_steps(metric)
+    return f"all alike, bit by bit{f', {at}' if at else ''}" if claim.yes else at
 
 
 def doubling(metric: Estimate) -> str:

@@ -21,7 +21,7 @@ from gpusimbench.evaluator.results.details import (
     Throughput,
 )
 from gpusimbench.evaluator.results.group_runs import MEDIAN, GroupRuns, Runs
-from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS
+from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, hashed_by
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, each, missing, over_runs
 from gpusimbench.evaluator.results.timed_work import Speeds, speeds_of
 from gpusimbench.evaluator.runs.run import Run
@@ -84,7 +84,7 @@ def shown_slower(slower: Estimate, faster: Estimate) -> bool:
 def _speeds(group: GroupRuns) -> Speeds | None:
     """Throughputs by outcome, where runs have several outcomes and throughput goes with them."""
     classes = DISTINCT_RUNS.estimate(group).of(DistinctRuns).classes
-    hashed = [_fps(run) for run in group.runs if run.histories] if classes else []
+    hashed = [_fps(run) for run, _ in hashed_by(group.runs)[0]] if classes else []
     timed = [(fps, label) for fps, label in zip(hashed, classes, strict=True) if not isinstance(fps, Missing)]
     return speeds_of([fps for fps, _ in timed], [label for _, label in timed])
 

@@ -258,14 +258,16 @@ class DistinctEnvs(Details):
     over_time              of the run with the most
     tree                   which left which, in the first run
     without_hashes         complete runs without state hashes
+    timed_steps            steps of the timed phase that were compared, where no states were captured
     """
 
     per_run: tuple[int, ...] = ()
     classes: tuple[tuple[int, ...], ...] = ()
     first_difference_step: int | None = None
-    over_time: OverTime | None = None
-    tree: SplitTree | None = None
+    over_time: OverTime | None = field(default=None, metadata=_OPTIONAL)
+    tree: SplitTree | None = field(default=None, metadata=_OPTIONAL)
     without_hashes: int | None = field(default=None, metadata=_OPTIONAL)
+    timed_steps: tuple[int, ...] | None = field(default=None, metadata=_OPTIONAL)
 
 
 @dataclass(frozen=True)
@@ -279,9 +281,10 @@ class DistinctRuns(Details):
     classes: tuple[int, ...] = ()
     first_difference_step: int | None = None
     run_indices: tuple[int, ...] = ()
-    over_time: OverTime | None = None
-    tree: SplitTree | None = None
+    over_time: OverTime | None = field(default=None, metadata=_OPTIONAL)
+    tree: SplitTree | None = field(default=None, metadata=_OPTIONAL)
     without_hashes: int | None = field(default=None, metadata=_OPTIONAL)
+    timed_steps: tuple[int, ...] | None = field(default=None, metadata=_OPTIONAL)
 
 
 @dataclass(frozen=True)

@@ -31,14 +31,36 @@ from gpusimbench.schemas.configuration import deciding
 
 _MM_PER_M = 1000.0
 _HASHED = "64-bit state hashes of every captured step"
+_HASHED_ENDS = "64-bit state hashes of the first and the last timed step"
+_TIMED = (
+    "If no run captured states, the states at the first and at the last step of the timed phase are compared (answers "
+    'then end with "timed")'
+)
+
+
+def hashed_by(runs: Runs) -> tuple[list[tuple[Run, Histories]], bool]:
+    """Runs that are compared by bits, with their states, and whether these are of the timed phase.
+
+    They are where no run captured states: a state of the timed phase says nothing of a captured state.
+    """
+    captured = [(r, r.histories) for r in runs if r.histories]
+    return (captured, False) if captured else ([(r, r.timed_histories) for r in runs if r.timed_histories], True)
 
 
 def _no_hashes(runs: Runs) -> str:
-    if any(r.histories for r in runs):
-        return ""
-    if any(why_missing(r.histories) == ONLY_FAILING for r in runs):
+    if any(why_missing(r.histories) == ONLY_FAILING for r in runs) and not any(r.histories for r in runs):
         return ONLY_FAILING
+    if hashed_by(runs)[0]:
+        return ""
     return "no states were captured" if runs else NO_RUN
+
+
+def _method(metric: Metric, *, timed: bool) -> str:
+    return metric.method.replace(_HASHED, _HASHED_ENDS) if timed else metric.method
+
+
+def _steps(found: Sequence[Histories]) -> tuple[int, ...]:
+    return tuple(np.unique(np.concatenate([h.steps for h in found])).tolist())
 
 
 def _distinct_envs(metric: Metric, group: GroupRuns) -> Estimate | Missing:
@@ -50,54 +72,56 @@ def _distinct_envs(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     simulation = runs[0].simulation
     if simulation and len(set(simulation.env_origins)) > 1:
         return Missing("environments at different origins cannot be compared by bits")
-    found = [r.histories for r in runs if r.histories]
+    compared, timed = hashed_by(runs)
+    found = [h for _, h in compared]
     counts = tuple(h.n_distinct for h in found)
     return Estimate(
         metric,
         float(max(counts)),
-        method=metric.method,
+        method=_method(metric, timed=timed),
         n=len(found[0].classes),
         details=DistinctEnvs(
             per_run=counts,
-            classes=tuple(tuple(h.classes.tolist()) for h in found),
-            first_difference_step=min((h.first_step for h in found if h.first_step is not None), default=None),
-            over_time=_most_distinct(found),
-            tree=found[0].tree,
-            without_hashes=_without_hashes(runs),
+            # two steps of the timed phase do not say when environments parted, and there may be 100,000 of these
+            classes=() if timed else tuple(tuple(h.classes.tolist()) for h in found),
+            first_difference_step=None
+            if timed
+            else min((h.first_step for h in found if h.first_step is not None), default=None),
+            over_time=None if timed else _most_distinct(found),
+            tree=None if timed else found[0].tree,
+            without_hashes=len(runs) - len(found) or None,
+            timed_steps=_steps(found) if timed else None,
         ),
     )
-
-
-def _without_hashes(runs: Runs) -> int | None:
-    # complete runs of which nothing is known by bits; `identical` makes no claim of all runs then
-    return sum(not r.histories for r in runs) or None
 
 
 def _distinct_runs(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     runs = group.runs
     if why_not := _no_hashes(runs):
         return Missing(why_not)
-    found = [r.histories for r in runs if r.histories]
+    compared, timed = hashed_by(runs)
+    found = [h for _, h in compared]
     if len(found) < 2:
         return Missing("needs at least two complete runs")
     both = side_by_side(found)
     if both is None:
-        return Missing("the runs have no captured step in common")
+        return Missing("the runs have no hashed step in common")
     steps, digests = both
     over_time = distinct_over_time(digests)
     apart = np.flatnonzero(over_time.instant > 1)
     return Estimate(
         metric,
         float(over_time.classes.max() + 1),
-        method=metric.method,
+        method=_method(metric, timed=timed),
         n=len(found),
         details=DistinctRuns(
             classes=tuple(over_time.classes.tolist()),
-            first_difference_step=int(steps[apart[0]]) if len(apart) else None,
-            run_indices=tuple(r.configuration.run_index for r in runs if r.histories),
-            over_time=_over_time(steps, over_time.instant, over_time.histories),
-            tree=split_tree(steps, over_time),
-            without_hashes=_without_hashes(runs),
+            first_difference_step=int(steps[apart[0]]) if len(apart) and not timed else None,
+            run_indices=tuple(r.configuration.run_index for r, _ in compared),
+            over_time=None if timed else _over_time(steps, over_time.instant, over_time.histories),
+            tree=None if timed else split_tree(steps, over_time),
+            without_hashes=len(runs) - len(found) or None,
+            timed_steps=_steps(found) if timed else None,
         ),
     )
 
@@ -260,14 +284,14 @@ def _level(metric: Metric, found: AxisVerdict, n: int, run: int | None = None) -
 DISTINCT_ENVS = Metric(
     "distinct_envs", "distinct envs", "", Direction.NEITHER,
     "number of classes of environments of a run; environments of a class are bit-identical at every captured step; "
-    "largest number of all runs, and their [splits](#divergence) over time",
+    "largest number of all runs, and their [splits](#divergence) over time. " + _TIMED,
     method=f"largest number of distinct environments in a run, by {_HASHED}",
     table=Table.VARIABILITY, of_group=_distinct_envs,
 )  # fmt: skip
 
 DISTINCT_RUNS = Metric(
     "distinct_runs", "distinct runs", "", Direction.NEITHER,
-    "number of classes of runs; runs of a class are bit-identical, environment by environment",
+    "number of classes of runs; runs of a class are bit-identical, environment by environment. " + _TIMED,
     method=f"distinct runs, env by env, by {_HASHED}", table=Table.VARIABILITY, of_group=_distinct_runs,
 )  # fmt: skip
 

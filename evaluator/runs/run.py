@@ -97,6 +97,7 @@ class Run(Described):
     capture_s   from the first step of the capture to the last one's state on the host [s]
     stalled_s   part of that in which the engine stood still until states were written [s]
     histories   of the captured states by bits
+    timed_histories  the same of the states that the timed phase hashed, where none were captured
     observed    whether timed and captured states agree, by the hashes of steps that timed and capture phase both passed
     positions   of the bodies of the outcome at the sample step
     joints      at the sample step
@@ -140,6 +141,7 @@ class Run(Described):
     capture_s: float | Missing = NOT_MEASURED
     stalled_s: float | Missing = NOT_MEASURED
     histories: Histories | Missing = NOT_MEASURED
+    timed_histories: Histories | Missing = NOT_MEASURED
     observed: bool | Missing = NOT_MEASURED
     positions: Positions | Missing = NOT_MEASURED
     joints: JointSample | Missing = NOT_MEASURED
@@ -154,3 +156,8 @@ class Run(Described):
     episodes: EpisodeCounts | Missing = NOT_MEASURED
     course: Course | Missing = NOT_MEASURED
     arrays: dict[str, ArrayHistory] = field(default_factory=dict)
+
+    @property
+    def acted(self) -> bool:
+        """Whether actions were applied; those of a phase without states are known by their generator alone."""
+        return bool(self.action_names or self.action_streams)

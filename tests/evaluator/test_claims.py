@@ -56,6 +56,7 @@ class _Run:
     simulation: None = None
     fields: tuple[str, ...] = ()
     first_step: int = 0
+    timed_histories: None = None
 
     @property
     def configuration(self) -> Any:

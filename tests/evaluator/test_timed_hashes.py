@@ -1,8 +1,9 @@
-"""State hashes of the timed phase, which are compared beside a capture."""
+"""State hashes of the timed phase, which are compared beside a capture, and where nothing was captured."""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,18 @@ import pytest
 from gpusimbench.evaluator.audit.replays import compared, distinct, match_of
 from gpusimbench.evaluator.audit.verdict import AuditLevel, AuditVerdict, ladder
 from gpusimbench.evaluator.cli.diff import main
+from gpusimbench.evaluator.compare.counted import compare_bits
+from gpusimbench.evaluator.compare.finding import Change
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference, StepRange
 from gpusimbench.evaluator.diff.result import DiffVerdict as Found
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.report.verdicts import repeats
+from gpusimbench.evaluator.results.details import DistinctRuns
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.identity_metrics import hashed_by
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.messages import message_class
 from tests.synthetic import Shown, grid, write_recording
@@ -121,3 +130,54 @@ def test_a_phase_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert rung.holds is None
     assert "in every bit; not everything of the original was compared: state hashes of 2 of 2 " in rung.said
     assert distinct([whole], [part]) == (1, 1, 1)
+
+
+@pytest.fixture(scope="module")
+def sweep() -> dict[int, GroupResult]:
+    """A shipped sweep of a robot without captured states, by its number of environments."""
+    files = (Path(__file__).resolve().parents[2] / "recordings" / "sweeps-h100").glob("mjx-franka-*.mcap")
+    return {result.group.key.n_env: result for result in evaluate_files(sorted(files)).results}
+
+
+def test_runs_without_captured_states_are_compared_by_timed_steps(sweep: dict[int, GroupResult]) -> None:
+    """Say of each number of environments whether its runs agree at both ends of the timed phase, and name the steps."""
+    counts = {n: result.metrics["distinct_runs"] for n, result in sweep.items()}
+    assert {n: (count.value, count.n) for n, count in counts.items()} == {512: (1, 3), 4096: (2, 3), 8192: (3, 3)}
+    for count in counts.values():
+        details = count.of(DistinctRuns)
+        assert (details.timed_steps, details.first_difference_step, details.tree) == ((100, 200), None, None)
+    at = "at steps 100 and 200 of the timed phase"
+    cells = {n: repeats([result]) for n, result in sweep.items()}
+    assert {n: cell.text for n, cell in cells.items()} == {512: "yes, timed", 4096: "no, timed", 8192: "no, timed"}
+    assert cells[512].notes == ("all 3 runs", at)
+    assert repeats(list(sweep.values())).notes == ("2 of 3 groups", at, "yes with n_env=512")
+
+
+def test_actions_of_the_timed_phase_tell_environments_apart(sweep: dict[int, GroupResult]) -> None:
+    """Ask nothing of environments that got different actions, though no state, and so no action, was captured."""
+    envs = sweep[512].metrics["distinct_envs"]
+    assert envs.value == Missing("the environments were given different actions, so they differ by design")
+
+
+def test_two_sets_without_captured_states(sweep: dict[int, GroupResult]) -> None:
+    """Compare two sets by the states that their timed phases hashed; of single runs that differ, decide nothing."""
+    alike = sweep[512].group.complete
+    same = compare_bits(alike[:2], alike[2:])
+    assert same is not None
+    assert (same.change, same.said[1]) == (Change.SAME, "bit-identical at 2 steps of the timed phase")
+    differing = sweep[8192].group.complete
+    other = compare_bits(differing[:1], differing[1:2])
+    assert other is not None
+    assert (other.change, other.missing.split(" (")[0]) == (
+        Change.NOT_COMPARED,
+        "they differ at step 100 of the timed phase",
+    )
+
+
+@pytest.mark.parametrize("captured", [True, False])
+def test_captured_states_come_first(captured: bool, sweep: dict[int, GroupResult]) -> None:
+    """Compare runs by timed steps only where none of the group has captured states."""
+    first, *others = sweep[512].group.complete
+    first = replace(first, histories=first.timed_histories) if captured else first
+    compared, timed = hashed_by([first, *others])
+    assert (len(compared), timed) == ((1, False) if captured else (3, True))
