@@ -276,8 +276,10 @@ def _without_counts(said: Cell) -> Cell:
 def invariance() -> str:
     """What the results of each probed configuration depend on, as a Markdown table."""
     asked = probed([Recording(path) for folder in PROBED for path in sorted(folder.glob("*.mcap"))])
-    rows = [[_probed_name(one.arms.key), _model(one.arms.key), *_answers(one.findings)] for one in asked]
-    titles = ["simulator, determinism level", "GPU", *(question.key for question in QUESTIONS)]
+    answered = {finding.key for one in asked for finding in one.findings if finding.answer is not Answer.NOT_ASKED}
+    keys = [question.key for question in QUESTIONS if question.key in answered]
+    rows = [[_probed_name(one.arms.key), _model(one.arms.key), *_answers(one.findings, keys)] for one in asked]
+    titles = ["simulator, determinism level", "GPU", *keys]
     lines = [titles, ["---"] * len(titles), *sorted(rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -291,9 +293,9 @@ def _probed_name(key: GroupKey) -> str:
     return f"{name_of_engine(key.simulator, json.loads(key.options))}, {key.determinism}"
 
 
-def _answers(findings: Sequence[Finding]) -> list[str]:
+def _answers(findings: Sequence[Finding], keys: Sequence[str]) -> list[str]:
     found = {finding.key: _answer(finding) for finding in findings}
-    return [found.get(question.key, _NONE) for question in QUESTIONS]
+    return [found.get(key, _NONE) for key in keys]
 
 
 def _answer(finding: Finding) -> str:
