@@ -178,6 +178,10 @@ def _verdicts(found: Comparison) -> list[Block]:
         return [Text(f"No verdict: the runs have no recordings to compare.{how}", Tone.WARNING)]
     if found.verdict is DiffVerdict.IDENTICAL:
         names = few(list(dict.fromkeys(one.name for one in found.compared)), _NAMES)
+        if found.failed:
+            failed = sum(run.status != "ended" for run in found.runs)
+            recorded = f"what was recorded until then is bit-identical: {names}"
+            return [Text(f"{failed} of {runs} failed; {recorded}.", Tone.WARNING)]
         if not found.whole:
             return [Text(f"The {runs} are equal bit for bit as far as compared: {names}.", Tone.WARNING)]
         return [Text(f"The {runs} are bit-identical: {names}.", Tone.GOOD)]

@@ -131,12 +131,12 @@ def test_runs_of_several_recordings(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.slow
 def test_a_program_that_fails(tmp_path: Path) -> None:
-    """Say how it ended and what it printed last; compare what it recorded, and end with 1."""
+    """Say first that runs failed, then how and what they printed last; compare what they recorded, and end with 1."""
     words = program(tmp_path, "record('a.mcap', 1); sys.exit('no luck')")
     said, found = gsb_run(tmp_path, words, code=ExitCode.FAILURE)
     assert found["verdict"] == "bit-identical"
+    assert said.startswith("2 of 2 runs failed; what was recorded until then is bit-identical: a.mcap.")
     reason = "ended with exit code 1; the last that it printed: no luck"
     assert [(run["status"], run["reason"]) for run in found["runs"]] == [("failed", reason)] * 2
     assert reason in said
