@@ -285,7 +285,7 @@ _GPU: dict[str, type] = {
     "name": str, "driver": str, "memory_bytes": int, "power_limit_mw": int, "ecc": bool, "mig": bool,
 }  # fmt: skip
 _SOFTWARE: dict[str, type] = {"python": str, "implementation": str, "recorder": dict, "packages": dict}
-_RECORDER: dict[str, type] = {"version": str, "commit": str, "modified": bool}
+_RECORDER: dict[str, type] = {"name": str, "version": str, "commit": str, "modified": bool}
 
 
 def _checked_kinds(record: dict[str, Any], kinds: dict[str, type]) -> dict[str, Any]:

@@ -91,7 +91,7 @@ def run_program(
     """Run a user's program in fresh processes, each with a folder of its own in `out`; those that were begun.
 
     time_limit  of each run [s]; 0: none
-    say         gets a line at the end of each run
+    say         gets a line at the begin and at the end of each run
 
     UsageError where there is no such program; otherwise raises as `record`.
     """

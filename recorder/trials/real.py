@@ -190,7 +190,10 @@ def parse_trials(text: str, *, unit: str, cubes: int) -> Trials:
 def _components(columns: list[str]) -> tuple[str, ...]:
     for name in COLUMNS:
         if name not in columns:
-            raise UsageError(f"row 1: column {name} is missing; the header is trial,cube,x,y or trial,cube,x,y,z")
+            raise UsageError(
+                f"row 1: column {name} is missing; the header is trial,cube,x,y or trial,cube,x,y,z; positions or "
+                "joint angles over time: see docs/how-to/real-trials.md"
+            )
     for name in columns:
         if name not in (*COLUMNS, HEIGHT):
             raise UsageError(f"row 1: column '{name}' is not known; the header is trial,cube,x,y or trial,cube,x,y,z")

@@ -171,5 +171,8 @@ def _scalar(info: Mapping[str, Any], name: str, n_env: int) -> tuple[NDArray[np.
         node = np.array([value if one else False for value, one in zip(node, given, strict=True)])
     array = on_host(node, f"info {name}")
     if array.size != n_env or array.shape[:1] != (n_env,):
-        raise UsageError(f"info {name} has shape {array.shape}; a number for each of {n_env} environments is recorded")
+        raise UsageError(
+            f"info {name} has shape {array.shape}; a number for each of {n_env} environments is recorded: give each "
+            "component a name of its own in the info, or hash the whole by fingerprint"
+        )
     return array.reshape(n_env).astype(np.float64), given

@@ -207,6 +207,19 @@ class TestJax:
         with pytest.raises(Refused, match="max_geom_pairs = 0 from the model, which says 7"):
             check_read(model, Caps(7, 7, ()))
 
+    def test_shapes_without_collisions_are_refused(self) -> None:
+        """Name the two kinds of shapes of a model between which MJX computes no contacts."""
+        import mujoco
+
+        from gpusimbench.recorder.simulators.mjx.caps import pair_groups
+        from gpusimbench.recorder.simulators.mjx.physics import refusals
+
+        body = '<body><freejoint/><geom type="{}" size=".1 .1 .1"/></body>'
+        bodies = "".join(body.format(kind) for kind in ("box", "cylinder"))
+        model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+        with pytest.raises(Refused, match="no collisions between cylinder and box"), refusals("jax"):
+            pair_groups(model)
+
     def test_a_dropped_pair_is_one_of_the_candidates(self) -> None:
         """Count overlapping bounding spheres as MJX orders pairs by them."""
         import jax.numpy as jnp
