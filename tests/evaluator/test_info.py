@@ -92,6 +92,14 @@ def test_numbers_are_the_recordings_own(small: Path) -> None:
 _BOTH = ("PHASE_BEGIN", "PHASE_END")
 
 
+@pytest.mark.parametrize(("name", "first"), [("T132945Z", 30), ("T132545Z", 0)])
+def test_rate_of_captured_steps_says_from_which_step(name: str, first: int) -> None:
+    """Count the steps of a run that continues another one from where it continued."""
+    (path,) = (ROOT / "recordings" / "vary-h100").glob(f"mjx-run-to-run-cube-toss-n16-*{name}.mcap")
+    captured = inspect(examine(path)).captured
+    assert (captured.first_step, captured.steps) == (first, 60 - first)
+
+
 def test_json(gsb_info: Command, small_set: list[Path], tmp_path: Path) -> None:
     """Write an object for each file, those that are no recordings included."""
     text = tmp_path / "text.mcap"
