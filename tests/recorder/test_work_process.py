@@ -44,6 +44,7 @@ def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
     """Let a process do the work, whatever this machine has; and leave none behind."""
     monkeypatch.setattr(work_process, "LEAST_CPUS", 1)
     monkeypatch.setattr(work_process, "LEAST_BYTES", 1)
+    monkeypatch.setattr(work_process, "_READY_S", 300.0)
     monkeypatch.setattr(states, "_ALONE_BYTES", 1)
     yield monkeypatch
     assert not helpers()
@@ -248,7 +249,6 @@ def test_a_process_is_killed(who: str, when: str, tmp_path: Path) -> None:
 def test_a_process_is_stopped(copy: bool, tmp_path: Path, process: pytest.MonkeyPatch) -> None:
     """Do not wait for ever where one that works is stopped: kill all of them, and say that data are lost."""
     process.setattr(work_process, "_LOOK_S", 0.05)
-    process.setattr(work_process, "_SILENT_S", 1.0)
     rows, working = drawn(200, 100), []
 
     def record() -> None:
@@ -256,6 +256,7 @@ def test_a_process_is_stopped(copy: bool, tmp_path: Path, process: pytest.Monkey
             log.append(*(array[:100] for array in rows))
             working.extend([helper(), *helper().children()])
             working[-1 if copy else 0].suspend()
+            process.setattr(work_process, "_SILENT_S", 1.0)  # not while it starts, which may take as long
             log.append(*(array[100:] for array in rows))
 
     with pytest.raises(
