@@ -32,7 +32,7 @@ from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
-from tests.conftest import wait_for
+from tests.conftest import has_ended, wait_for
 from tests.forging import forge
 from tests.synthetic import Shown, grid, write_recording
 
@@ -91,16 +91,9 @@ def test_memory_of_the_whole_tree_counts(monkeypatch: pytest.MonkeyPatch, how: s
     )
     assert guard.peak > 200 << 20
     # a process that was killed is there until the system has its memory back
-    killed = [psutil.Process(p) for p in set(psutil.pids()) - before if "bytearray(300" in _command(p)]
-    assert not psutil.wait_procs(killed, timeout=300)[1]
-
-
-def _command(number: int) -> str:
-    try:
-        process = psutil.Process(number)
-        return "" if process.status() == psutil.STATUS_ZOMBIE else " ".join(process.cmdline())
-    except psutil.Error:
-        return ""
+    commands = [(p, " ".join(p.info["cmdline"] or ())) for p in psutil.process_iter(["cmdline"]) if p.pid not in before]
+    killed = [process for process, command in commands if "bytearray(300" in command]
+    wait_for(lambda: all(map(has_ended, killed)))
 
 
 def test_threads_count(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,6 +32,7 @@ from gpusimbench.recorder.vector.device.log import About, DeviceLog, HostLog
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import StateField, body_field
+from tests.conftest import has_ended, wait_for
 from tests.reading import verified
 
 BODIES = ("red", "blue", "green")
@@ -239,7 +240,7 @@ def test_a_process_is_killed(who: str, when: str, tmp_path: Path) -> None:
     with pytest.raises(DataLost, match=f"writing stopped: {who}; what was written is in .*partial"):
         record()
     assert len(working) > 2
-    assert not psutil.wait_procs(working, timeout=300)[1]
+    wait_for(lambda: all(map(has_ended, working)))
     assert not path.exists()
     recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
@@ -263,7 +264,7 @@ def test_a_process_is_stopped(copy: bool, tmp_path: Path, process: pytest.Monkey
         DataLost, match=r"did nothing for 1 s: it was stopped, or hangs, and has been killed; what was wr"
     ):
         record()
-    assert not psutil.wait_procs(working, timeout=300)[1]
+    wait_for(lambda: all(map(has_ended, working)))
     recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
 
@@ -454,7 +455,7 @@ def test_the_program_is_killed(tmp_path: Path) -> None:
         assert child.stdout is not None and child.stdout.readline() == b"begun\n"
         (working,) = helpers(child.pid)
         child.kill()
-    working.wait(300)
+    wait_for(lambda: has_ended(working))
     recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
 
