@@ -493,7 +493,7 @@ def test_no_process_can_be_started(tmp_path: Path, process: pytest.MonkeyPatch) 
             log.append(*drawn(60, 100))
             assert not helpers()
         assert whole(tmp_path / f"{what}.mcap", 60)
-        assert len(os.listdir("/proc/self/fd")) == before
+        assert len(os.listdir("/proc/self/fd")) <= before  # connections of other tests may be closed meanwhile
 
 
 def test_one_of_several_processes_cannot_be_started(process: pytest.MonkeyPatch) -> None:
@@ -509,12 +509,12 @@ def test_one_of_several_processes_cannot_be_started(process: pytest.MonkeyPatch)
     stream = StateStream(FIELDS, 100, 50, 0.1, 1, frozenset(), 0)
     memory = os.memfd_create("states")
     ours, theirs = connection.Pipe()
-    before = psutil.Process().children()
+    before = {*psutil.Process().children()}
     with ours, theirs, pytest.raises(BlockingIOError):
         work_child._Sharing(stream, work_child.Shared(memory, stream), ranges.Ranges(100), theirs)
     os.close(memory)
     assert not answers
-    assert psutil.Process().children() == before
+    assert {*psutil.Process().children()} <= before
 
 
 def test_what_is_loaded_without_a_process() -> None:
