@@ -26,15 +26,14 @@ from gpusimbench.schemas.scratch import scratch_folder
 from tests.browser import Browser
 from tests.in_process import in_process
 
-# The machine that runs the tests may be slow or busy; a test says what is right, not how fast.
-settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# The machine that runs the tests may be slow or busy; a test says what is right, not how fast. Every run draws the same
+# examples: new ones are for tests.hostile.soak and tests.hostile.fuzz, which say how to see again what they found.
+settings.register_profile("any-machine", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any-machine")
 settings.register_profile(  # for make mutants, which asks whether a test fails and not of what
     "mutants",
     settings.get_profile("any-machine"),
     phases=(Phase.explicit, Phase.generate),
-    derandomize=True,
-    database=None,
 )
 
 # Tests put errors where states are worked on, in this process; test_work_process.py lets another one do it.
