@@ -220,7 +220,7 @@ def _take(path: Path) -> bool:
         raise _unwritable(path.parent, error) from None
     # Looked for only now: a recorder that is just ending gives a file its name before it gives up the .partial.
     if path.exists():
-        partial.unlink()
+        partial.unlink(missing_ok=True)  # that recorder may remove it as its own (release)
         return False
     return True
 

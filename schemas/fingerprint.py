@@ -42,8 +42,8 @@ COMPILED_BYTES = 2_000_000_000
 """Of states, from which on compiled hashes pay: loading numba takes 1 to 2 s, in which other threads wait for the
 interpreter. Of 1 GB, numpy's were ready sooner by a quarter, of 4 GB later by a quarter."""
 
-_LOADING_S = 10.0
-"""That a fork waits at most until the machine code is loaded, which takes 1 to 3 s."""
+_LOADING_S = 60.0
+"""That a fork waits at most until the machine code is loaded, which takes 1 to 3 s, and longer where others compute."""
 
 _of_thread = threading.local()
 _counting = threading.Lock()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -124,7 +125,7 @@ def _run(command: Sequence[str], printed: IO[bytes], say: Callable[[str], None])
         # in a session of its own, so that an interruption reaches it once, through this process
         child = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.PIPE, text=True, errors="replace",
-            start_new_session=True, preexec_fn=signalled_at_its_end(signal.SIGTERM),
+            start_new_session=True, preexec_fn=signalled_at_its_end(signal.SIGTERM, os.getpid()),
         )  # fmt: skip
     except OSError as error:
         raise GsbError(f"cannot start {COMMAND}: {error.strerror}") from None

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.recorder.programs.folder import VARIABLE, placed
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from tests.conftest import call, wait_for
+from tests.conftest import call, has_ended, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 REINFORCE = ROOT / "examples" / "reinforce" / "reinforce.py"
@@ -214,8 +215,9 @@ with RecordingWriter(
     assert [run["reason"] for run in found["runs"]] == ["did not end within 6 s"] * 2
     recording = open_recording(tmp_path / "program-runs/run-1/a.mcap")
     assert (recording.status, recording.reason.partition(":")[0]) == ("failed", "KeyboardInterrupt")
-    child = int((tmp_path / "child").read_text())
-    wait_for(lambda: not psutil.pid_exists(child) or psutil.Process(child).status() == psutil.STATUS_ZOMBIE)
+    with suppress(psutil.NoSuchProcess):
+        child = psutil.Process(int((tmp_path / "child").read_text()))
+        wait_for(lambda: has_ended(child))
 
 
 def test_processes_in_sessions_of_their_own_end_with_the_run(tmp_path: Path) -> None:
@@ -245,7 +247,7 @@ def test_a_program_ends_with_a_killed_command(killed: str, tmp_path: Path) -> No
             wait_for(lambda: len(running_as(asleep)) == 1 + bool(last))
             (between,) = psutil.Process(running.pid).children()
             (running if killed == "gsb-run" else between).kill()
-            wait_for(lambda: not running_as(asleep) and not between.is_running())
+            wait_for(lambda: not running_as(asleep) and has_ended(between))
         finally:
             running.kill()
             for process in running_as(asleep):
