@@ -27,7 +27,7 @@ from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.sections.determinism_cost import of_family, ratio
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.report.words import EXCHANGED, exchanged
+from gpusimbench.evaluator.report.words import EXCHANGED, exchanged, model
 from gpusimbench.evaluator.results.details import DistinctEnvs
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT, price_list
 from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
@@ -198,12 +198,8 @@ def _best(sweep: Sweep) -> SweepPoint:
 
 
 def _memory(sweep: Sweep) -> str:
-    model = sweep.models.get(sweep.memory)
-    if not model:
-        return _NONE
-    percent = f"{100 * model.largest_residual:.0f}"
-    off = "off by less than 1 %" if percent == "0" else f"off by up to {percent} %"
-    return f"{model.fixed / 1e6:,.0f} MB + {model.per_env / 1e3:,.0f} kB per env, {off}"
+    found = sweep.models.get(sweep.memory)
+    return model(found) if found else _NONE
 
 
 def _sweeps(evaluation: Evaluation) -> list[Sweep]:

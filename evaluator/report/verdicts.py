@@ -259,7 +259,8 @@ def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: 
         if left := sum(bool(r.group.complete) for r, claim in claims if claim.holds is None):
             how = f"{how}, {plural(left, 'group')} not compared"
         return Cell(f"yes{mark}", notes=(how, *at, *notes), tone=Tone.GOOD)
-    said = next((f"no, {far:.3g} {m.unit}" for m in apart if (far := _farthest(differ, m)) is not None), f"no{mark}")
+    # a distance of zero is left out: W1 is in the plane, and what differs may be heights or orientations
+    said = next((f"no, {far:.3g} {m.unit}" for m in apart if (far := _farthest(differ, m))), f"no{mark}")
     if len(compared) > 1:
         where = _option_of([r for r, holds in compared if holds], differ)
         return Cell(said, notes=(f"{len(differ)} of {len(compared)} groups", *at, *where, *notes), tone=Tone.BAD)
