@@ -162,6 +162,10 @@ class Counter:
     meaning: str
 
 
+MISPLACED_CONTACTS = "misplaced_contacts"
+"""Name of the counter of contacts that lie outside of one of their two shapes: a step that has any is wrong."""
+
+
 @dataclass(frozen=True)
 class OverflowBit:
     """What a bit of the topics /overflow/<phase> means.

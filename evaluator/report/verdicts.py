@@ -137,8 +137,12 @@ def valid(results: Results) -> Cell:
     """Whether the steps did all of their work, as far as the engine tells."""
     runs = [run for r in results for run in r.group.recordings]
     invalid = sum(run.status == "invalid" for run in runs)
+    number = sum(r.validity.misplaced.n_run for r in results if r.validity.misplaced)
+    misplaced = (f"{number} of {plural(len(runs), 'run')}: misplaced contacts",) if number else ()
     if invalid:
-        return Cell("no", notes=(f"{invalid} of {len(runs)} INVALID",), tone=Tone.BAD)
+        return Cell("no", notes=(f"{invalid} of {len(runs)} INVALID", *misplaced), tone=Tone.BAD)
+    if misplaced:
+        return Cell("no", notes=misplaced, tone=Tone.BAD)
     other = sum(not run.usable for run in runs)
     failed = (f"{other} of {plural(len(runs), 'run')} failed",) if other else ()
     if other == len(runs):
@@ -216,7 +220,12 @@ QUESTIONS = (
         f"distance in joint space; {_MEANING}",
         alike,
     ),
-    Question("valid", "yes: no run dropped contacts or constraints, as far as the engine reports it", valid),
+    Question(
+        "valid",
+        "yes: no run dropped contacts or constraints, or has contacts outside of their bodies, as far as the engine "
+        "reports it",
+        valid,
+    ),
     Question(
         f"mechanics, {NEWEST.value}",
         f"yes: every check of mechanics that could be made holds, by the tolerances of {NEWEST.value}",

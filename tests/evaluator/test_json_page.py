@@ -63,7 +63,8 @@ ELSEWHERE = {"Sweeps": ("A group",), "Published table": ("A group", "Comparison"
 """Sections that refer to another section for some of their keys."""
 
 OTHERS = {
-    "A group": {"gsb-record": "a command"},
+    "A group": {"gsb-record": "a command", "misplaced": "recordings that count misplaced contacts"},
+    "Validity": dict.fromkeys(("misplaced_contacts", "of"), "recordings that count misplaced contacts"),
     "A metric": {"certified": "W1 of sets of more than 5000 points", "sampled": "pairs of more runs than are shipped"},
     "Further numbers": {
         "ci95": "a key of a metric", "rounding": "no runs so nearly equal",

@@ -190,11 +190,16 @@ class TestJax:
         on_device, data = model.put(device), model.first_data(device, *start)
         data = data.replace(qpos=data.qpos.at[2].add(-1e-4).at[9].add(-2e-4))
         data = jax.vmap(lambda _: data)(np.arange(1))
-        counted = jax.jit(lambda d: model.count(jax.vmap(mjx.fwd_position, (None, 0))(on_device, d)))(data)
+        data = jax.jit(jax.vmap(mjx.fwd_position, (None, 0)))(on_device, data)
+        count = jax.jit(model.count)
+        counted = count(data)
         assert counted["overflow"].tolist() == [bit]
         assert counted["contacts"].tolist() == [contacts]
         assert counted["constraint_rows"].tolist() == [4 * contacts]
         assert counted["candidate_pairs"].tolist() == [3]
+        assert counted["misplaced_contacts"].tolist() == [0]
+        away = data.tree_replace({"_impl.contact.pos": data._impl.contact.pos + 1.0})
+        assert count(away)["misplaced_contacts"].tolist() == [contacts]
 
     def test_limits_that_mjx_reads_otherwise_are_refused(self) -> None:
         """Refuse a model whose limits stand behind an array of numbers, where MJX takes the array's for them."""

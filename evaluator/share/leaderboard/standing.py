@@ -223,8 +223,8 @@ def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequ
         titles = "; ".join(row.check.title for row in wrong)
         said = f"states break mechanics ({result.fidelity.revision.value}): {titles}{also}"
         return "; ".join(filter(None, (said, faults(result).laws)))
-    if laws := faults(result).laws:
-        return laws
+    if wrong_of_group := faults(result).misplaced or faults(result).laws:
+        return wrong_of_group
     fps = result.metrics["fps"]
     if isinstance(fps.value, Missing):
         return fps.value.reason
