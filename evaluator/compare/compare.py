@@ -12,6 +12,7 @@ from gpusimbench.evaluator.compare.counted import (
     compare_bits,
     compare_determinism,
     compare_mechanics,
+    compare_misplaced,
     compare_validity,
 )
 from gpusimbench.evaluator.compare.episodes import compare_episodes
@@ -222,7 +223,7 @@ def _draft(pair: Pair, protocols: Sequence[Protocol], settings: Settings, work: 
     add(Axis.PHYSICS, compare_outcomes(between, settings, applies=applies))
     for unit, asked in JOINT_OUTCOMES.items():
         add(Axis.PHYSICS, compare_outcomes(joints[unit], settings, applies=True, asked=asked))
-    add(Axis.VALIDITY, compare_validity(pair))
+    add(Axis.VALIDITY, compare_validity(pair), compare_misplaced(base, head))
     numbers(Axis.VALIDITY)
     numbers(Axis.VARIABILITY)
     for metric in METRICS.values():

@@ -17,11 +17,15 @@ from gpusimbench.evaluator.results.group_runs import GroupRuns, Runs
 from gpusimbench.evaluator.results.identity_metrics import (
     DISTINCT_ENVS,
     DISTINCT_RUNS,
+    ENDS,
+    HASHED,
+    HASHED_ENDS,
     comparable,
     hashed_by,
     identical,
 )
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate
+from gpusimbench.evaluator.results.validity import misplaced_of
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Measured
 from gpusimbench.evaluator.runs.run import Run
@@ -114,17 +118,35 @@ def compare_validity(pair: Pair) -> Finding | Question:
         base=float(n1 - bad), head=float(n2 - worse), n=(n1, n2), said=(_ended(pair.base), _ended(pair.head)),
         method="runs that ended well and lost no data",
     )  # fmt: skip
+    return _by_shares(finding, (bad, n1), (worse, n2), "that are not") if bad or worse else finding
+
+
+def compare_misplaced(base: Runs, head: Runs) -> Finding | Question | None:
+    """Runs of either side with misplaced contacts, of those that count them; None where no run has any."""
+    sides = [misplaced_of(runs) for runs in (base, head)]
+    if not any(side and side.n_run for side in sides):
+        return None
+    name, title = "misplaced_contacts", "runs with misplaced contacts"
+    counts = [(side.n_run, side.of) for side in sides if side]
+    if len(counts) < len(sides):
+        return not_compared(Axis.VALIDITY, name, title, "one side does not count them")
+    (bad, n1), (worse, n2) = counts
+    finding = Finding(
+        Axis.VALIDITY, name, title, Change.SAME, Direction.LOWER, base=float(bad), head=float(worse), n=(n1, n2),
+        said=(f"{bad} of {n1}", f"{worse} of {n2}"), method="complete runs with a contact outside of one of its shapes",
+    )  # fmt: skip
+    return _by_shares(finding, (bad, n1), (worse, n2), "with any")
+
+
+def _by_shares(finding: Finding, base: tuple[int, int], head: tuple[int, int], of: str) -> Finding | Counted:
+    """What runs that are counted against either side say, where there are any: a fact where one side has none."""
+    (bad, n1), (worse, n2) = base, head
+    change = Change.REGRESSION if worse * n1 > bad * n2 else Change.IMPROVEMENT
     if bad and worse:
-        change = Change.REGRESSION if worse / n2 > bad / n1 else Change.IMPROVEMENT
-        return Counted(replace(finding, change=change), (bad, n1), (worse, n2), of="that are not")
-    if not bad and not worse:
-        return finding
-    chance = fisher((bad, n1), (worse, n2))
-    return replace(
-        finding,
-        change=Change.REGRESSION if worse else Change.IMPROVEMENT,
-        note=f"if both sides failed with one probability, failures would be as uneven in {chance:.2g} of all cases",
-    )
+        return Counted(replace(finding, change=change), base, head, of=of)
+    chance = fisher(base, head)
+    note = f"if both sides had one probability of it, the two would be as uneven in {chance:.2g} of all cases"
+    return replace(finding, change=change, note=note)
 
 
 def _ended(group: Group[Run]) -> str:
@@ -134,17 +156,19 @@ def _ended(group: Group[Run]) -> str:
 
 def compare_determinism(base: GroupRuns, head: GroupRuns) -> Sequence[Finding]:
     """Whether environments, and runs, are bit-identical on either side; empty where no states were hashed."""
-    if not any(hashed_by(side.runs)[0] for side in (base, head)):
+    kinds = {timed for hashed, timed in (hashed_by(side.runs) for side in (base, head)) if hashed}
+    if not kinds:
         return ()
+    asked = (DISTINCT_ENVS, _ENVS), (DISTINCT_RUNS, _RUNS)
+    if len(kinds) > 1:
+        why = "one side captured states, and of the other only steps of the timed phase are known"
+        return [not_compared(Axis.DETERMINISM, metric.name, title, why) for metric, title in asked]
     n = len(base.runs), len(head.runs)
-    return [
-        _level(title, metric.estimate(base), metric.estimate(head), n)
-        for metric, title in ((DISTINCT_ENVS, _ENVS), (DISTINCT_RUNS, _RUNS))
-    ]
+    return [_level(title, metric.estimate(base), metric.estimate(head), n) for metric, title in asked]
 
 
 def all_alike(side: GroupRuns) -> bool:
-    """Whether at least two runs were compared, and all have the same bits at every captured step."""
+    """Whether at least two runs were compared, and all have the same bits at every step that was compared."""
     return identical(DISTINCT_RUNS.estimate(side)).yes
 
 
@@ -154,7 +178,7 @@ def compare_bits(base: Runs, head: Runs) -> Finding | None:
     if not hashed:
         return None
     n = (len(base), len(head))
-    which = "the first and the last timed step (no states were captured)" if timed else "every captured step"
+    which = f"the {ENDS} (no states were captured)" if timed else "every captured step"
     method = f"64-bit state hashes of every environment at {which}"
     pair = _one_of_each(base, head, complete=True)
     if isinstance(pair, Missing):
@@ -187,14 +211,14 @@ def _one_of_each(base: Runs, head: Runs, *, complete: bool) -> tuple[Histories, 
     _, timed = hashed_by(runs)
     found = [[h for r in side if (h := r.timed_histories if timed else r.histories)] for side in (base, head)]
     if not all(found) or (complete and sum(map(len, found)) < len(runs)):
-        return Missing("not all runs captured states")
+        return Missing("not all runs hashed states" if timed else "not all runs captured states")
     for name, side in zip(("base", "head"), found, strict=True):
         if len({h.until(len(h.steps)) for h in side}) > 1:
             return Missing(f"runs of {name} differ from each other; {_shared(*found)}")
     one, other = found[0][0], found[1][0]
     rows = min(len(one.steps), len(other.steps))
     if not rows or not np.array_equal(one.steps[:rows], other.steps[:rows]):
-        return Missing("different steps were captured")
+        return Missing(f"different steps were {'timed' if timed else 'captured'}")
     return one, other
 
 
@@ -270,7 +294,8 @@ def _level(title: str, one: Estimate, other: Estimate, n: tuple[int, int]) -> Fi
     change = judged(Direction.LOWER, rises=alike) if alike != stays else Change.SAME
     return Finding(
         axis, name, title, change, Direction.LOWER, said=(_distinct(one), _distinct(other)),
-        base=known(one.value), head=known(other.value), n=n, method="64-bit state hashes of every captured step",
+        base=known(one.value), head=known(other.value), n=n,
+        method=HASHED_ENDS if HASHED_ENDS in one.method else HASHED,
         note=_bound(name, one if alike else other, change),
     )  # fmt: skip
 

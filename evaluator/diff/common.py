@@ -19,6 +19,7 @@ from gpusimbench.schemas.fields import ENV, StateField
 from gpusimbench.schemas.provenance import engine_name
 
 EPISODE_STEP = "episode_step"
+_OF_THE_STEP = ("action", "final_observation", "info", "reward", "terminated", "truncated")
 """Of the group ENV: the step within its episode, 0 in the state that a reset made."""
 
 _LARGEST_RATIO = 1000  # of two time steps, and of its parts as a fraction
@@ -66,6 +67,12 @@ class Selection:
         states = self.recording.state(ENV, EPISODE_STEP)
         at = np.flatnonzero(np.asarray(states.steps) == step)
         return bool(at.size) and not np.any(states[int(at[0]), env])
+
+
+def by_a_reset(fields: Sequence[str]) -> bool:
+    """Whether a reset can have made what differs in these fields: rewards and flags in the row of a first observation
+    may be those of the step that ended the episode before."""
+    return not all(name.startswith(tuple(f"{ENV}/{start}" for start in _OF_THE_STEP)) for name in fields)
 
 
 def one_env(recording: Recording, env: int) -> Selection:

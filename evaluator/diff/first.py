@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.diff.common import Selection
+from gpusimbench.evaluator.diff.common import Selection, by_a_reset
 from gpusimbench.evaluator.diff.numbers import Pairing, number
 from gpusimbench.evaluator.diff.program_parts import ComparedPart, Kind, Moment, ProgramDifference, is_action
 from gpusimbench.evaluator.diff.result import Divergence, FieldDifference, Number, StateDifference
@@ -57,6 +57,8 @@ def first_divergence(
     step = found.first_step()
     step_b = int(step * ratio)
     env_a, env_b = envs_of(found.first.pair, a, b)
+    state = state_difference(states, seen.first.row, a, b) if seen.first else None
+    begins = a.begins_episode(step, env_a) or b.begins_episode(step_b, env_b)
     return Divergence(
         phase=found.phase,
         step_a=step,
@@ -67,10 +69,10 @@ def first_divergence(
         env_b=env_b,
         envs=found.first.count,
         by_hashes=found is not seen,
-        state=state_difference(states, seen.first.row, a, b) if seen.first else None,
+        state=state,
         contacts_a=a.contacts(found.phase, step),
         contacts_b=b.contacts(found.phase, step_b),
-        begins_episode=a.begins_episode(step, env_a) or b.begins_episode(step_b, env_b),
+        begins_episode=begins and (state is None or state.step != step or by_a_reset(state.fields)),
     )
 
 

@@ -32,7 +32,7 @@ from gpusimbench.evaluator.results.evaluate import Evaluation
 from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.fidelity import DEMANDED, CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
-from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
+from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, ENDS, identical
 from gpusimbench.evaluator.results.joint_metrics import BETWEEN_ENVS, BETWEEN_RUNS
 from gpusimbench.evaluator.results.joint_metrics import TO_REFERENCE as JOINTS_TO_REFERENCE
 from gpusimbench.evaluator.results.metric import Axis
@@ -221,7 +221,7 @@ def _signs(rows: Sequence[Sequence[Cell | str]], results: Sequence[GroupResult])
         (any(said.endswith(" x 0") for said in shown), "x 0: no complete run"),
         (
             any(said.endswith(f", {TIMED}") for said in shown),
-            f"{TIMED}: at the first and last step of the timed phase; no states were captured",
+            f"{TIMED}: at the {ENDS}; no states were captured",
         ),
     )
     return "; ".join(meaning for there, meaning in meanings if there)

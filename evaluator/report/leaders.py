@@ -136,7 +136,7 @@ def _timed_otherwise(found: Sequence[GroupResult], alike: Sequence[GroupResult])
 def _kind(result: GroupResult, reason: str, results: Sequence[GroupResult]) -> str:
     """What kind a reason is of; the section on throughput has the reason in full."""
     if faults_anywhere(result, results):
-        return "INVALID, or mechanics broken"
+        return "INVALID, misplaced contacts, or mechanics broken"
     if speaks_against(result, results):
         return f"{PROTOCOL} not met: timed steps, or evidence of work"
     return "errors against the tosses not known" if reason == _UNKNOWN else "larger error against the tosses"

@@ -16,7 +16,7 @@ from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import REGIME, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
-from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
+from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, ENDS, identical
 from gpusimbench.evaluator.results.joint_metrics import BETWEEN_ENVS, BETWEEN_RUNS
 from gpusimbench.evaluator.results.joint_metrics import TO_REFERENCE as JOINTS_TO_REFERENCE
 from gpusimbench.evaluator.results.metric import Metric
@@ -36,7 +36,7 @@ NOT_COMPARED = "not compared"
 TIMED = "timed"
 """After an answer: no states were captured, and those that the timed phase hashed were compared."""
 AT_TIMED = "at steps of the timed phase"
-_MEANING = f"{TIMED}: at the first and last step of the timed phase, where no states were captured"
+_MEANING = f"{TIMED}: at the {ENDS}, where no states were captured"
 
 
 @dataclass(frozen=True)
@@ -137,14 +137,15 @@ def valid(results: Results) -> Cell:
     """Whether the steps did all of their work, as far as the engine tells."""
     runs = [run for r in results for run in r.group.recordings]
     invalid = sum(run.status == "invalid" for run in runs)
-    number = sum(r.validity.misplaced.n_run for r in results if r.validity.misplaced)
-    misplaced = (f"{number} of {plural(len(runs), 'run')}: misplaced contacts",) if number else ()
+    counted = [r.validity.misplaced for r in results if r.validity.misplaced]
+    number = sum(one.n_run for one in counted)
+    misplaced = (f"{number} of {plural(sum(one.of for one in counted), 'run')}: misplaced contacts",) if number else ()
     if invalid:
         return Cell("no", notes=(f"{invalid} of {len(runs)} INVALID", *misplaced), tone=Tone.BAD)
-    if misplaced:
-        return Cell("no", notes=misplaced, tone=Tone.BAD)
     other = sum(not run.usable for run in runs)
     failed = (f"{other} of {plural(len(runs), 'run')} failed",) if other else ()
+    if misplaced:
+        return Cell("no", notes=(*misplaced, *failed), tone=Tone.BAD)
     if other == len(runs):
         return Cell("not known", notes=failed, tone=Tone.QUIET)
     if all(r.validity.overflow is None for r in results):

@@ -86,6 +86,8 @@ def timed_steps(metric: Estimate) -> str:
     steps = details.timed_steps if isinstance(details, DistinctEnvs | DistinctRuns) else None
     if not steps:
         return ""
+    if len(steps) > 2:  # a recorder of others may hash more
+        return f"at {len(steps)} steps of the timed phase, {steps[0]} to {steps[-1]}"
     return f"at step{'s' if len(steps) > 1 else ''} {' and '.join(map(str, steps))} of the timed phase"
 
 

@@ -254,7 +254,7 @@ class DistinctEnvs(Details):
 
     per_run                how many in each run
     classes                of the environments of each run, numbered in order of first appearance
-    first_difference_step  in any run; None where no environments differ
+    first_difference_step  in any run; None where no environments differ, and of timed steps
     over_time              of the run with the most
     tree                   which left which, in the first run
     without_hashes         complete runs without state hashes

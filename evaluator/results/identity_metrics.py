@@ -29,12 +29,10 @@ from gpusimbench.evaluator.runs.state_hashes import Histories, side_by_side
 from gpusimbench.schemas.configuration import deciding
 
 _MM_PER_M = 1000.0
-_HASHED = "64-bit state hashes of every captured step"
-_HASHED_ENDS = "64-bit state hashes of the first and the last timed step"
-_TIMED = (
-    "If no run captured states, the states at the first and at the last step of the timed phase are compared (answers "
-    'then end with "timed")'
-)
+HASHED = "64-bit state hashes of every captured step"
+ENDS = "begin and the end of the timed phase"
+HASHED_ENDS = f"64-bit state hashes of the {ENDS}"
+_TIMED = f'If no run captured states, the states at the {ENDS} are compared (answers then end with "timed")'
 
 
 def hashed_by(runs: Runs) -> tuple[list[tuple[Run, Histories]], bool]:
@@ -53,11 +51,12 @@ def _no_hashes(runs: Runs) -> str:
 
 
 def _method(metric: Metric, *, timed: bool) -> str:
-    return metric.method.replace(_HASHED, _HASHED_ENDS) if timed else metric.method
+    return metric.method.replace(HASHED, HASHED_ENDS) if timed else metric.method
 
 
-def _steps(found: Sequence[Histories]) -> tuple[int, ...]:
-    return tuple(np.unique(np.concatenate([h.steps for h in found])).tolist())
+def _steps(found: Sequence[Histories], *, common: bool = False) -> tuple[int, ...]:
+    steps, counts = np.unique(np.concatenate([h.steps for h in found]), return_counts=True)
+    return tuple(steps[counts == len(found)].tolist() if common and (counts == len(found)).any() else steps.tolist())
 
 
 def _distinct_envs(metric: Metric, group: GroupRuns) -> Estimate | Missing:
@@ -99,7 +98,8 @@ def _distinct_runs(metric: Metric, group: GroupRuns) -> Estimate | Missing:
     compared, timed = hashed_by(runs)
     found = [h for _, h in compared]
     if len(found) < 2:
-        return Missing("needs at least two complete runs")
+        alone = len(runs) > 1 and not timed  # beside runs that captured nothing
+        return Missing("only one complete run captured states" if alone else "needs at least two complete runs")
     both = side_by_side(found)
     if both is None:
         return Missing("the runs have no hashed step in common")
@@ -118,7 +118,7 @@ def _distinct_runs(metric: Metric, group: GroupRuns) -> Estimate | Missing:
             over_time=None if timed else _over_time(steps, over_time.instant, over_time.histories),
             tree=None if timed else split_tree(steps, over_time),
             without_hashes=len(runs) - len(found) or None,
-            timed_steps=_steps(found) if timed else None,
+            timed_steps=_steps(found, common=True) if timed else None,
         ),
     )
 
@@ -282,14 +282,14 @@ DISTINCT_ENVS = Metric(
     "distinct_envs", "distinct envs", "", Direction.NEITHER,
     "number of classes of environments of a run; environments of a class are bit-identical at every captured step; "
     "largest number of all runs, and their [splits](#divergence) over time. " + _TIMED,
-    method=f"largest number of distinct environments in a run, by {_HASHED}",
+    method=f"largest number of distinct environments in a run, by {HASHED}",
     table=Table.VARIABILITY, of_group=_distinct_envs,
 )  # fmt: skip
 
 DISTINCT_RUNS = Metric(
     "distinct_runs", "distinct runs", "", Direction.NEITHER,
     "number of classes of runs; runs of a class are bit-identical, environment by environment. " + _TIMED,
-    method=f"distinct runs, env by env, by {_HASHED}", table=Table.VARIABILITY, of_group=_distinct_runs,
+    method=f"distinct runs, env by env, by {HASHED}", table=Table.VARIABILITY, of_group=_distinct_runs,
 )  # fmt: skip
 
 _LEVELS = (

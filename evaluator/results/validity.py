@@ -153,7 +153,7 @@ def validity_of(group: Group[Run]) -> Validity:
         overflow=_overflow(group.recordings),
         actions=tuple(_actions(group.complete)),
         overflow_told=_overflow_told(group.complete),
-        misplaced=_misplaced(group.complete),
+        misplaced=misplaced_of(group.complete),
     )
 
 
@@ -211,7 +211,8 @@ def _overflow_told(runs: Sequence[Run]) -> Claim:
     return every((True if run.overflows else None for run in runs), why_not)
 
 
-def _misplaced(runs: Sequence[Run]) -> Misplaced | None:
+def misplaced_of(runs: Sequence[Run]) -> Misplaced | None:
+    """Of complete runs; None where no run counts them."""
     found = [
         sum(round(c.mean * run.configuration.n_env * c.rows) for c in counted)
         for run in runs

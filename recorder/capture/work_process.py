@@ -222,8 +222,9 @@ class WorkProcess:
 def _no_broken_pipe() -> Iterator[None]:
     """No SIGPIPE from the calling thread within the block, which ends a program that has its default action: the
     process may end at any moment. The call fails all the same."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     try:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
         yield
     finally:
         if signal.SIGPIPE not in before:

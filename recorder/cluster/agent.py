@@ -25,7 +25,8 @@ class Agent:
         self._process: subprocess.Popen[str] | None = None
         self._lines: list[str] = []
         self._ended = False
-        self._news = threading.Condition()
+        self._news = threading.Condition()  # never held while the process's input is written: it may not read yet
+        self._input = threading.Lock()
 
     def ready(self) -> bool:
         """Answer, once there is an agent."""
@@ -33,17 +34,18 @@ class Agent:
 
     def begin(self, key: str, arguments: list[str], first: str) -> None:
         """Start the process with these arguments and this first line of input; a second time with one key: nothing."""
-        with self._news:
+        with self._input:  # until the first line is written: a call with another may be there already
             if key == self._key:
                 return
             self.end()
-            self._key, self._lines, self._ended = key, [], False
-            self._process = subprocess.Popen(
+            process = subprocess.Popen(
                 [sys.executable, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                 text=True, errors="replace", env=self._environment(), start_new_session=True,
             )  # fmt: skip
-            threading.Thread(target=self._read, args=(self._process, self._lines), daemon=True).start()
-            self.say(key, first)  # before any other line, for which another call may be there already
+            with self._news:
+                self._key, self._lines, self._ended, self._process = key, [], False, process
+                threading.Thread(target=self._read, args=(process, self._lines), daemon=True).start()
+            self._write(first)
 
     def lines(self, known: int) -> tuple[list[str], bool]:
         """The lines after so many that the caller knows, and whether these are all; none after some silence."""
@@ -53,13 +55,17 @@ class Agent:
 
     def say(self, key: str, line: str) -> None:
         """A line of input to the process of that key; calls overtake each other, and another one's would be harmful."""
-        with self._news:
-            process = self._process
-            if key != self._key or process is None or process.stdin is None:
-                return
-            with suppress(OSError, ValueError):  # it has ended, or its input has
-                process.stdin.write(line + "\n")
-                process.stdin.flush()
+        with self._input:
+            if key == self._key:
+                self._write(line)
+
+    def _write(self, line: str) -> None:
+        process = self._process
+        if process is None or process.stdin is None:
+            return
+        with suppress(OSError, ValueError):  # it has ended, or its input has
+            process.stdin.write(line + "\n")
+            process.stdin.flush()
 
     def end(self) -> None:
         """Close the process's input, at which it brings itself to an end, and wait for that."""

@@ -67,7 +67,7 @@ class _Run:
     @property
     def histories(self) -> Any:
         if self.state is None:
-            return None
+            return Missing("no states were captured")
         hashes = np.full((3, self.n_env), self.state, dtype=np.uint64)
         return histories_of(Fingerprints(self.first_step + np.arange(3), hashes))
 

@@ -256,7 +256,8 @@ def test_each_faster_group_has_its_own_reason(tmp_path: Path) -> None:
     said = " ".join(_printed(evaluation).split())
     assert re.search(
         r"Fastest valid simulator in inclined-collision on [^;]*: honest, 500 env-steps/s; faster, but not ranked: "
-        r"quick \[solver=b\] \(protocol-2 not met: [^)]*\); quick \[solver=a\] \(INVALID, or mechanics broken\)",
+        r"quick \[solver=b\] \(protocol-2 not met: [^)]*\); "
+        r"quick \[solver=a\] \(INVALID, misplaced contacts, or mechanics broken\)",
         said,
     ), said
 
@@ -297,7 +298,10 @@ def test_each_is_unranked_for_its_own_reason(tmp_path: Path) -> None:
     write_recording(tmp_path, sunk, simulator="sinks", elapsed_s=2.0, proven=True)
     assert fastest_of(evaluate_files(sorted(tmp_path.glob("*.mcap")))) == (
         "quick: 4,000; sinks: 1,000",
-        ("quick: protocol-2 not met: timed steps, or evidence of work", "sinks: INVALID, or mechanics broken"),
+        (
+            "quick: protocol-2 not met: timed steps, or evidence of work",
+            "sinks: INVALID, misplaced contacts, or mechanics broken",
+        ),
     )
 
 

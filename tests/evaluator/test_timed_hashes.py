@@ -13,17 +13,19 @@ import pytest
 from gpusimbench.evaluator.audit.replays import compared, distinct, match_of
 from gpusimbench.evaluator.audit.verdict import AuditLevel, AuditVerdict, ladder
 from gpusimbench.evaluator.cli.diff import main
-from gpusimbench.evaluator.compare.counted import compare_bits
+from gpusimbench.evaluator.compare.counted import compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.finding import Change
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference, StepRange
 from gpusimbench.evaluator.diff.result import DiffVerdict as Found
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.report.sections.divergence import onset
 from gpusimbench.evaluator.report.verdicts import repeats
 from gpusimbench.evaluator.results.details import DistinctRuns
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.identity_metrics import hashed_by
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.identity_metrics import HASHED_ENDS, hashed_by
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.messages import message_class
@@ -172,6 +174,25 @@ def test_two_sets_without_captured_states(sweep: dict[int, GroupResult]) -> None
         Change.NOT_COMPARED,
         "they differ at step 100 of the timed phase",
     )
+
+
+def test_captured_states_are_not_compared_with_timed_ones(sweep: dict[int, GroupResult]) -> None:
+    """Judge neither side where one captured states and the other did not: they were asked about other steps."""
+    runs = sweep[8192].group.complete
+    captured = [replace(run, histories=run.timed_histories) for run in runs]
+    for base, head in ((runs, captured), (captured, runs)):
+        found = compare_determinism(GroupRuns(base), GroupRuns(head))
+        assert [(one.name, one.change) for one in found] == [
+            ("distinct_envs", Change.NOT_COMPARED),
+            ("distinct_runs", Change.NOT_COMPARED),
+        ]
+    judged = compare_determinism(GroupRuns(runs), GroupRuns(runs))[1]
+    assert (judged.change, judged.method) == (Change.SAME, HASHED_ENDS)
+
+
+def test_timed_steps_do_not_say_when_runs_part(sweep: dict[int, GroupResult]) -> None:
+    """Call the step at which anything differs not known, and not "never", where two timed steps were compared."""
+    assert onset(sweep[512]).runs == onset(sweep[8192]).runs == "not known: no states were captured"
 
 
 @pytest.mark.parametrize("captured", [True, False])

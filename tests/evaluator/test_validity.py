@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
+from gpusimbench.evaluator.compare.counted import compare_misplaced
+from gpusimbench.evaluator.compare.finding import Change, Finding
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report import verdicts, words
@@ -370,4 +372,16 @@ def test_misplaced_contacts_that_are_not_counted(tmp_path: Path) -> None:
     assert "misplaced" not in group["faults"]
     both = only(misplacing(tmp_path, 0, 0, 1), silent)
     assert both.validity.misplaced == Misplaced(1, 1, 1)
-    assert verdicts.valid([both]).notes == ("1 of 2 runs: misplaced contacts",)
+    assert verdicts.valid([both]).notes == ("1 of 1 run: misplaced contacts",)
+
+
+def test_misplaced_contacts_are_compared(tmp_path: Path) -> None:
+    """Call misplaced contacts of head alone a regression, and of base alone an improvement; of neither, say nothing."""
+    runs = [misplacing(tmp_path, 0, 0, 0, 0), misplacing(tmp_path, 1, 0, 2, 0)]
+    runs.append(write_recording(tmp_path, grid(2), run=2, run_id="run 2", whole=True))
+    clean, wrong, silent = (evaluate_files([path]).results[0].group.complete for path in runs)
+    assert compare_misplaced(clean, clean) is None
+    assert compare_misplaced(silent, silent) is None
+    found = [compare_misplaced(*sides) for sides in ((clean, wrong), (wrong, clean), (silent, wrong))]
+    changes = [one.change if isinstance(one, Finding) else None for one in found]
+    assert changes == [Change.REGRESSION, Change.IMPROVEMENT, Change.NOT_COMPARED]

@@ -332,6 +332,20 @@ def test_an_interruption_as_a_process_begins(monkeypatch: pytest.MonkeyPatch) ->
     assert node.lines(0)[0] == ["wanted", "1"]
 
 
+_SPEAKS_FIRST = "import sys; print('x\\n' * 100_000, flush=True); print(len(sys.stdin.readline())); sys.stdin.read()"
+
+
+def test_a_process_that_speaks_before_it_reads() -> None:
+    """Take what a process says while its first line, longer than a pipe holds, is written."""
+    node = agent.Agent()
+    begun = threading.Thread(target=node.begin, args=("key", ["-c", _SPEAKS_FIRST], "y" * 200_000), daemon=True)
+    begun.start()
+    begun.join(60)
+    assert not begun.is_alive()
+    wait_for(lambda: node.lines(0)[0][-1:] == ["200001"])
+    node.end()
+
+
 # A cluster
 
 

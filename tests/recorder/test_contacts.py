@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,6 +17,7 @@ from gpusimbench import open_recording
 from gpusimbench.recorder.scenes.registry import SCENES, make_scene
 from gpusimbench.recorder.simulators.evidence import MISPLACED_CONTACTS
 from gpusimbench.recorder.simulators.mujoco.contacts import misplaced
+from gpusimbench.recorder.simulators.mujoco.worlds import misplaced_in
 from tests.conftest import call
 from tests.recorder import engines
 from tests.recorder.engines import PAIR
@@ -199,3 +201,20 @@ def test_a_recording_tells(tmp_path: Path) -> None:
         checked = call("gsb-check", path).stdout
         assert ("no: 1 of 1 run: misplaced contacts" in said) == (name == "warp")
         assert ("warning misplaced-contacts" in checked) == (name == "warp")
+
+
+FLEXES = """
+<mujoco><worldbody>
+<flexcomp type="grid" count="3 3 1" spacing=".1 .1 .1" name="low" dim="2" radius=".02" mass="1" pos="0 0 .05"/>
+<flexcomp type="grid" count="3 3 1" spacing=".1 .1 .1" name="high" dim="2" radius=".02" mass="1" pos="0 0 .06"/>
+</worldbody></mujoco>
+"""
+
+
+def test_contacts_of_flexes_alone() -> None:
+    """Count nothing where a model has no geom: its contacts are of flexes, which have no bound."""
+    model = mujoco.MjModel.from_xml_string(FLEXES)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.ncon and not model.ngeom
+    assert misplaced_in(model, data) == 0

@@ -12,6 +12,7 @@ from gpusimbench.evaluator.compare.counted import (
     compare_bits,
     compare_determinism,
     compare_mechanics,
+    compare_misplaced,
     compare_validity,
 )
 from gpusimbench.evaluator.compare.finding import DIFFERENT, FAILING, Change, Finding, Settings, exit_code_of
@@ -185,6 +186,7 @@ def _certain(before: Entry, after: Entry, settings: Settings, work: Work) -> Ite
     pair = Pair("", before.group, after.group, (), same_machine=True)
     found: list[object] = [compare_validity(pair)]
     if one.runs and other.runs:
+        found.append(compare_misplaced(one.runs, other.runs))
         certain = all_alike(one) and all_alike(other)
         found += compare_mechanics(one.runs, other.runs, certain=certain)
         if certain:

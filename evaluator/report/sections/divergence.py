@@ -70,7 +70,7 @@ class Onset:
 
 def section(source: Source) -> Section | None:
     """A row for every group whose states were captured; figures for those in which anything came apart."""
-    told = [r for r in source.shown if not isinstance(r.metrics["distinct_envs"].value, Missing) or _spreads(r)]
+    told = [r for r in source.shown if not _first(r, "distinct_envs").startswith(_UNKNOWN) or _spreads(r)]
     if not told:
         return None
     onsets = [onset(r) for r in told]
@@ -156,7 +156,10 @@ def _first(result: GroupResult, name: str) -> str:
     metric = result.metrics[name]
     if isinstance(metric.value, Missing):
         return f"{_UNKNOWN}{metric.value.reason}"
-    step = _distinct(result, name).first_difference_step
+    details = _distinct(result, name)
+    if details.timed_steps:
+        return f"{_UNKNOWN}no states were captured"
+    step = details.first_difference_step
     return "never" if step is None else f"step {step}, {step * result.group.key.dt:g} s"
 
 

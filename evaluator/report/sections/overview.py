@@ -53,8 +53,9 @@ _DISTANCE = 4
 """Column of a scatter's numbers that has the distance."""
 
 _HOW_TO_READ = (
-    "Lines: 95 % intervals. Hollow: INVALID, or mechanics broken. Shaded strip: exactly 0. A mark without a name is "
-    "another group of the simulator with its shape and colour. †: timed or run in another way than others."
+    "Lines: 95 % intervals. Hollow: INVALID, misplaced contacts, or mechanics broken. Shaded strip: exactly 0. A mark "
+    "without a name is another group of the simulator with its shape and colour. †: timed or run in another way than "
+    "others."
 )
 
 _NOT_TIMED = (Text("Throughput was not measured: no recording has a timed phase.", Tone.QUIET),)

@@ -142,7 +142,8 @@ def _variability(source: Source, rows: Sequence[VariabilityRow]) -> Table:
         regime = known(result.metrics["regime_published"].value)
         fault = Cell(str(row.faults), tone=Tone.BAD) if row.faults else Cell("no fault found")
         distances = map(_cell, (row.real, row.parallel, row.run_to_run))
-        distinct = (Cell(words.count_of(result.metrics[f"distinct_{of}"])) for of in ("envs", "runs"))
+        counted = [result.metrics[f"distinct_{of}"] for of in ("envs", "runs")]
+        distinct = (Cell(words.count_of(one), notes=tuple(filter(None, (words.timed_steps(one),)))) for one in counted)
         kind = EMPTY if regime is None else Cell(f"{regime:.0f}", regime)
         against = fault if result.group.complete else EMPTY
         shown.append(Row((named(source, result), kind, *distances, *distinct, against), facets(result.group.key)))

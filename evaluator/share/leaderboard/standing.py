@@ -222,7 +222,7 @@ def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequ
         also = f" ({sunk:.3g} of {sank.of(SunkCubes).cubes})" if (sunk := known(sank.value)) else ""
         titles = "; ".join(row.check.title for row in wrong)
         said = f"states break mechanics ({result.fidelity.revision.value}): {titles}{also}"
-        return "; ".join(filter(None, (said, faults(result).laws)))
+        return "; ".join(filter(None, (said, faults(result).misplaced, faults(result).laws)))
     if wrong_of_group := faults(result).misplaced or faults(result).laws:
         return wrong_of_group
     fps = result.metrics["fps"]

@@ -160,6 +160,8 @@ class SeparateWorlds(Worlds):
 
 def misplaced_in(model: Any, data: Any) -> int:
     """Misplaced contacts of a mujoco.MjData."""
+    if not model.ngeom:  # of flexes alone
+        return 0
     found = data.contact
     geoms = found.geom.reshape(-1, 2)  # -1: no geom, and no point is outside
     radii = np.where(geoms < 0, 0, model.geom_rbound[geoms])
