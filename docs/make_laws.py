@@ -176,7 +176,8 @@ def with_earlier(scene: str, shown: str, earlier: str) -> str:
         names = ", ".join(dict.fromkeys(map(_without_version, kept)))
         raise SystemExit(f"the table of {scene} would have other columns than the page has: record these too: {names}")
     ordered = sorted([*new[_HEAD:], *kept], key=lambda line: order.index(_without_version(line)))
-    return "\n".join([*new[:_HEAD], *ordered])
+    head = old if ordered[0] in kept else new  # what is predicted is of the first row
+    return "\n".join([*head[:_HEAD], *ordered])
 
 
 def _without_version(line: str) -> str:
@@ -197,7 +198,7 @@ def table(found: Sequence[Row]) -> str:
     lines.append(f"| *predicted* | | {' | '.join([*predicted, *(['0'] if hops else [])])} |")
     for row in found:
         cells = [cell(row.laws.get(key)) for key in titles]
-        cells += [f"{1000 * row.hop:.2g}"] if row.hop is not None else []
+        cells += [f"{float(f'{1000 * row.hop:.2g}'):g}"] if row.hop is not None else []
         lines.append(f"| {row.engine} | {1000 * row.dt:g} ms | {' | '.join(cells)} |")
     return "\n".join(lines)
 

@@ -101,6 +101,8 @@ def test_engines_that_were_not_measured_anew_keep_their_rows() -> None:
         engines = list(dict.fromkeys(line.split("|")[1] for line in rows))
         again = "\n".join([*head, *(line for line in rows if line.split("|")[1] == engines[1])])
         assert laws.with_earlier(scene, again, shown) == shown
+        of_another = again.replace("| *predicted* | |", "| *predicted* | | 9", 1)  # predictions differ between engines
+        assert laws.with_earlier(scene, of_another, shown) == shown
         other = again.replace("| engine |", "| engine | new law |", 1)
         with pytest.raises(SystemExit, match="record these too: "):
             laws.with_earlier(scene, other, shown)
