@@ -50,14 +50,14 @@ class InitialKind:
     value   what stands for VALUE in messages
     does    in words
     read    VALUE from its text; ValueError where it is none
-    probed  VALUE that gsb-probe takes, of so many environments; None: there is nothing to ask
+    probed  VALUEs that gsb-probe takes, of so many environments, a run each; empty: there is nothing to ask
     """
 
     name: str
     value: str
     does: str
     read: Callable[[str], int | str]
-    probed: Callable[[int], int | str | None]
+    probed: Callable[[int], Sequence[int | str]]
 
     @property
     def form(self) -> str:
@@ -68,19 +68,19 @@ class InitialKind:
 _DRAWN_STATES = (
     InitialKind(
         "shift", "K", "begins each environment as the one K slots further", int,
-        probed=lambda n_env: max(1, n_env // 3) if n_env > 1 else None,
+        probed=lambda n_env: (max(1, n_env // 3),) if n_env > 1 else (),
     ),
     InitialKind(
         "but", "E", "begins all environments but E in other states", int,
-        probed=lambda n_env: 0 if n_env > 1 else None,
+        probed=lambda n_env: (0,) if n_env > 1 else (),
     ),
     InitialKind(
         "mirror", "AXES", f"begins all environments in mirror images ({', '.join(AXES)}: signs that change)",
-        _one_of(AXES), probed=lambda n_env: "y",
+        _one_of(AXES), probed=lambda n_env: ("y",),
     ),
     InitialKind(
         "relabel", "ORDER", f"begins identical bodies with each other's states ({', '.join(ORDERS)})", _one_of(ORDERS),
-        probed=lambda n_env: "reverse",
+        probed=lambda n_env: ORDERS,
     ),
 )  # fmt: skip
 INITIAL_KINDS = {kind.name: kind for kind in _DRAWN_STATES}

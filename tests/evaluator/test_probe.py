@@ -247,7 +247,7 @@ def test_mirror_images_that_are_not_asked(tmp_path: Path) -> None:
     reason = partial(_why_not_asked, "mirrored")
 
     tilted = changing(SCENE, gravity=[0.0, 1.0, -9.81])
-    assert reason(_write(tmp_path, usual)) == "needs a run with --initial random:SPREAD,mirror:AXES"
+    assert reason(_write(tmp_path, usual)) == "needs a run with --initial random:SPREAD,mirror:y"
     both = [_write(tmp_path / "tilted", arm, also=tilted) for arm in (usual, mirrored)]
     why = "the scene is not its own mirror image: gravity is not along z"
     assert reason(*both) == reason(both[0]) == why
@@ -295,7 +295,7 @@ def test_identical_bodies_that_are_not_asked(tmp_path: Path) -> None:
     reason = partial(_why_not_asked, "relabelled")
 
     old = _write(tmp_path, usual)
-    assert reason(old) == "needs a run with --initial random:SPREAD,relabel:ORDER"
+    assert reason(old) == "needs a run with --initial random:SPREAD,relabel:reverse"
     weights = [{**body, "mass": body.get("mass") and at + 1.0} for at, body in enumerate(old.scene["bodies"])]
     both = [_write(tmp_path / "weights", arm, also=changing(SCENE, bodies=weights)) for arm in (usual, relabelled)]
     assert reason(*both) == reason(both[0]) == "the scene has no two identical bodies that move"
