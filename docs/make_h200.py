@@ -27,7 +27,7 @@ from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.sections.determinism_cost import of_family, ratio
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.report.words import EXCHANGED, exchanged
+from gpusimbench.evaluator.report.words import EXCHANGED, exchanged, model
 from gpusimbench.evaluator.results.details import DistinctEnvs
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT, price_list
 from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
@@ -198,12 +198,8 @@ def _best(sweep: Sweep) -> SweepPoint:
 
 
 def _memory(sweep: Sweep) -> str:
-    model = sweep.models.get(sweep.memory)
-    if not model:
-        return _NONE
-    percent = f"{100 * model.largest_residual:.0f}"
-    off = "off by less than 1 %" if percent == "0" else f"off by up to {percent} %"
-    return f"{model.fixed / 1e6:,.0f} MB + {model.per_env / 1e3:,.0f} kB per env, {off}"
+    found = sweep.models.get(sweep.memory)
+    return model(found) if found else _NONE
 
 
 def _sweeps(evaluation: Evaluation) -> list[Sweep]:
@@ -276,8 +272,10 @@ def _without_counts(said: Cell) -> Cell:
 def invariance() -> str:
     """What the results of each probed configuration depend on, as a Markdown table."""
     asked = probed([Recording(path) for folder in PROBED for path in sorted(folder.glob("*.mcap"))])
-    rows = [[_probed_name(one.arms.key), _model(one.arms.key), *_answers(one.findings)] for one in asked]
-    titles = ["simulator, determinism level", "GPU", *(question.key for question in QUESTIONS)]
+    answered = {finding.key for one in asked for finding in one.findings if finding.answer is not Answer.NOT_ASKED}
+    keys = [question.key for question in QUESTIONS if question.key in answered]
+    rows = [[_probed_name(one.arms.key), _model(one.arms.key), *_answers(one.findings, keys)] for one in asked]
+    titles = ["simulator, determinism level", "GPU", *keys]
     lines = [titles, ["---"] * len(titles), *sorted(rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -291,9 +289,9 @@ def _probed_name(key: GroupKey) -> str:
     return f"{name_of_engine(key.simulator, json.loads(key.options))}, {key.determinism}"
 
 
-def _answers(findings: Sequence[Finding]) -> list[str]:
+def _answers(findings: Sequence[Finding], keys: Sequence[str]) -> list[str]:
     found = {finding.key: _answer(finding) for finding in findings}
-    return [found.get(question.key, _NONE) for question in QUESTIONS]
+    return [found.get(key, _NONE) for key in keys]
 
 
 def _answer(finding: Finding) -> str:

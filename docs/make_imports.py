@@ -25,7 +25,6 @@ COLUMNS = {
     "mjx": "mjx",
     "newton": "newton",
     "physx": "physx",
-    "isaaclab-ovphysx": "isaaclab, backend ovphysx",
     "isaaclab-newton": "isaaclab, backend newton",
     "genesis": "genesis",
 }

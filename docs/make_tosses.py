@@ -3,8 +3,8 @@
 usage: python docs/make_tosses.py FOLDER
 
 FOLDER holds what the commands of docs/how-to/cube-toss.md record: the reference, a run of each simulator, and what
-gsb-fit --json wrote. A table is redrawn where FOLDER has something for it. It names the SHA-256 of the measured set and
-the content hash of each recording, so that whoever makes them again can compare.
+gsb-fit --json wrote. A table is redrawn where FOLDER has something for it. It names the SHA-256 of the measured set;
+that of whole tosses also names the content hash of each recording, so that whoever makes them again can compare.
 """
 
 from __future__ import annotations
@@ -93,11 +93,10 @@ def front_table(evaluation: Evaluation) -> str:
         rate = f"{one.fps:,.0f} ({plural(len(one.timed.group.complete), 'run')})"
         estimates = [one.result.metrics[m.name] for m in _FRONT]
         shown = [f"{figure(known(e.value) or 0.0, e.unit)} {interval(e)}" for e in estimates]
-        recording = f"`{one.result.group.recordings[0].content_hash[:_HASH]}`"
         elsewhere = (rates.get((configuration(one.result), n)) for n in others)
         at_others = ["-" if value is None else f"{known(value):,.0f}" for value in elsewhere]
-        rows.append([names[label], rate, *at_others, f"{one.pace:,.0f}", *shown, verdict, recording])
-    return _drawn([*titles, "on the front", "recording"], rows, f"{_named(_tosses(evaluation))} On {device}.")
+        rows.append([names[label], rate, *at_others, f"{one.pace:,.0f}", *shown, verdict])
+    return _drawn([*titles, "on the front"], rows, f"{_named(_tosses(evaluation))} On {device}.")
 
 
 def local_table(evaluation: Evaluation) -> str:
@@ -128,8 +127,7 @@ def local_table(evaluation: Evaluation) -> str:
             # three digits of either: in fewer, an end would be rounded to the other side of the value
             cell = f"{value:.3g}" if value is not None else "-"
             shown.append(f"{cell} {bounds(ends, '{:.3g}'.format)}" if value is not None and ends else cell)
-        hashes = (by_rows[rows].group.recordings[0].content_hash[:_HASH] for rows in every if rows in by_rows)
-        return [*shown, " ".join(f"`{one}`" for one in hashes)]
+        return shown
 
     def middle(by_rows: dict[int, GroupResult]) -> float:
         rows = sorted(by_rows)[len(by_rows) // 2]
@@ -141,8 +139,8 @@ def local_table(evaluation: Evaluation) -> str:
         floor = next(of, None)
         floors.append("-" if floor is None else f"{floor:.2g}")
     body = [[name, *cells(by_rows)] for name, by_rows in sorted(found.items(), key=lambda item: middle(item[1]))]
-    body.append(["*the measurement, in free flight*", *floors, ""])
-    return _drawn(["simulator", *titles, "recordings"], body, _named(_tosses(evaluation)))
+    body.append(["*the measurement, in free flight*", *floors])
+    return _drawn(["simulator", *titles], body, _named(_tosses(evaluation)))
 
 
 def fits(files: list[Path]) -> str:
@@ -158,16 +156,15 @@ def fits(files: list[Path]) -> str:
         turned = by["rotation", "odd"]
         start, end = (", ".join(f"{k}={v}" for k, v in found[which].items()) for which in ("start", "fitted"))
         rows.append([
-            found["simulator"], start, end, f"{len(found['evaluations'])}",
-            f"{even['before']:.3f} / {even['after']:.3f}",
+            found["simulator"], start, end, f"{even['before']:.3f} / {even['after']:.3f}",
             f"{odd['before']:.3f} / {odd['after']:.3f}", _change(odd),
-            _change(turned), " ".join(f"`{found[which][:_HASH]}`" for which in ("before", "after")),
+            _change(turned),
         ])  # fmt: skip
         below = f"{found['source']}, SHA-256 `{found['sha256'][:_HASH]}...`. "
         below += "p: sign-flip permutation test, adjusted by Holm's method for all rows and both errors."
     titles = [
-        "simulator", "start", "fitted", "evaluations", "position, even tosses, before / after [cm]",
-        "position, odd tosses, before / after [cm]", "change on odd tosses [cm]", "of rotation [deg]", "recordings",
+        "simulator", "start", "fitted", "position, even tosses, before / after [cm]",
+        "position, odd tosses, before / after [cm]", "change on odd tosses [cm]", "of rotation [deg]",
     ]  # fmt: skip
     return _drawn(titles, rows, below) if rows else ""
 

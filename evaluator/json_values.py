@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gpusimbench.evaluator.missing import Missing, known, why_missing
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from gpusimbench.schemas.location import Location
 
 _DEEPEST = 8

@@ -174,10 +174,15 @@ def _shown(found: Comparison) -> ComparedRun | None:
 def _verdicts(found: Comparison) -> list[Block]:
     runs = plural(len(found.runs), "run")
     if found.verdict is None:
-        how = "" if found.failed or any(run.recordings or run.partial for run in found.runs) else _HOW
+        recorded = any(run.recordings or run.partial for run in found.runs)
+        how = _HOW if not recorded and any(run.status == "ended" for run in found.runs) else ""
         return [Text(f"No verdict: the runs have no recordings to compare.{how}", Tone.WARNING)]
     if found.verdict is DiffVerdict.IDENTICAL:
         names = few(list(dict.fromkeys(one.name for one in found.compared)), _NAMES)
+        if found.failed:
+            failed = sum(run.status != "ended" for run in found.runs)
+            common = f"what the runs recorded in common is bit-identical: {names}"
+            return [Text(f"{failed} of {runs} failed; {common}.", Tone.WARNING)]
         if not found.whole:
             return [Text(f"The {runs} are equal bit for bit as far as compared: {names}.", Tone.WARNING)]
         return [Text(f"The {runs} are bit-identical: {names}.", Tone.GOOD)]

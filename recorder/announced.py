@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.recorder.plan import check
-from gpusimbench.recorder.probes.software import package_list
+from gpusimbench.recorder.probes.host import package_list
 from gpusimbench.recorder.programs.folder import description
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas import topics

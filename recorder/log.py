@@ -36,8 +36,7 @@ from gpusimbench.recorder.failure import cause_of
 from gpusimbench.recorder.interruption import postponed
 from gpusimbench.recorder.plan import utc_now
 from gpusimbench.recorder.probes.gpu import Gpus
-from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
-from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.recorder.probes.host import describe_host, describe_software, numeric_environment, peak_rss_bytes
 from gpusimbench.recorder.programs.folder import placed
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas import topics

@@ -13,9 +13,9 @@ from pathlib import Path
 from gpusimbench.recorder.abilities import listed
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas import PARTIAL
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import CAPTURE_MODES, MAX_ENVS, MAX_VIEW, OPTIONAL_PHASES, RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError, UsageError
+from gpusimbench.schemas.text import did_you_mean
 from gpusimbench.schemas.treatment import KINDS, MOST_METRES, Intervention, Keep
 from gpusimbench.schemas.writing import Taken, create, give_name
 
@@ -220,7 +220,7 @@ def _take(path: Path) -> bool:
         raise _unwritable(path.parent, error) from None
     # Looked for only now: a recorder that is just ending gives a file its name before it gives up the .partial.
     if path.exists():
-        partial.unlink()
+        partial.unlink(missing_ok=True)  # that recorder may remove it as its own (release)
         return False
     return True
 

@@ -52,9 +52,9 @@ def expect(size: int) -> None:
     global _fill
     if size >= (COMPILED_BYTES // 10 if "numba" in sys.modules else COMPILED_BYTES):
         with suppress(Exception):  # Pythons of engines have no numba, or a broken one: see schemas.fingerprint
-            from gpusimbench.schemas.action_generator_compiled import fill
+            from gpusimbench.schemas.compiled import action_loop
 
-            _fill = fill
+            _fill = action_loop()
 
 
 @dataclass(frozen=True)

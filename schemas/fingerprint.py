@@ -42,8 +42,8 @@ COMPILED_BYTES = 2_000_000_000
 """Of states, from which on compiled hashes pay: loading numba takes 1 to 2 s, in which other threads wait for the
 interpreter. Of 1 GB, numpy's were ready sooner by a quarter, of 4 GB later by a quarter."""
 
-_LOADING_S = 10.0
-"""That a fork waits at most until the machine code is loaded, which takes 1 to 3 s."""
+_LOADING_S = 60.0
+"""That a fork waits at most until the machine code is loaded, which takes 1 to 3 s, and longer where others compute."""
 
 _of_thread = threading.local()
 _counting = threading.Lock()
@@ -112,9 +112,9 @@ def _compile() -> None:
     # Pythons of engines have no numba, and a broken numba, or its cache, raises errors of any kind; hashes by numpy are
     # the same, and no recording is lost for want of faster ones
     with suppress(Exception):
-        from gpusimbench.schemas.fingerprint_compiled import add_hashes
+        from gpusimbench.schemas.compiled import hash_loop
 
-        _compiled = add_hashes
+        _compiled = hash_loop()
 
 
 def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:

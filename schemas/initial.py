@@ -18,11 +18,11 @@ GIVEN = "initial.npz"
 """Attachment with the states that a run was given to begin with, as of schemas.arrays."""
 
 AXES = ("x", "y", "xy")
-"""Coordinates whose signs change in images (schemas.mirror): x in the plane x = 0, y in the plane y = 0, and both by a
-half turn about z."""
+"""Coordinates whose signs change in images (schemas.symmetry): x in the plane x = 0, y in the plane y = 0, and both by
+a half turn about z."""
 
 ORDERS = ("reverse",)
-"""Orders in which identical bodies get each other's states (schemas.relabel)."""
+"""Orders in which identical bodies get each other's states (schemas.symmetry)."""
 
 _NUMBER = r"[0-9.eE+-]+"
 _INITIAL = re.compile(rf"random:(?P<spread>{_NUMBER})(?:,(?P<kind>[a-z]+):(?P<value>[a-z0-9]{{1,8}}))?")

@@ -162,6 +162,10 @@ class Counter:
     meaning: str
 
 
+MISPLACED_CONTACTS = "misplaced_contacts"
+"""Name of the counter of contacts that lie outside of one of their two shapes: a step that has any is wrong."""
+
+
 @dataclass(frozen=True)
 class OverflowBit:
     """What a bit of the topics /overflow/<phase> means.
@@ -285,7 +289,7 @@ _GPU: dict[str, type] = {
     "name": str, "driver": str, "memory_bytes": int, "power_limit_mw": int, "ecc": bool, "mig": bool,
 }  # fmt: skip
 _SOFTWARE: dict[str, type] = {"python": str, "implementation": str, "recorder": dict, "packages": dict}
-_RECORDER: dict[str, type] = {"version": str, "commit": str, "modified": bool}
+_RECORDER: dict[str, type] = {"name": str, "version": str, "commit": str, "modified": bool}
 
 
 def _checked_kinds(record: dict[str, Any], kinds: dict[str, type]) -> dict[str, Any]:

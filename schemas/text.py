@@ -162,6 +162,23 @@ def show_document(text: str) -> None:
     sys.stdout.write(re.sub("#(?=#)", r"\\u0023", text))
 
 
+def did_you_mean(given: str, known: Iterable[str]) -> str:
+    """The end of a message on an unknown name, such as "; did you mean 'mujoco'?"; empty where no name is similar.
+
+    Names are compared without regard to case, hyphens and underscores. A name that begins as the given one is similar.
+    """
+    from difflib import get_close_matches
+
+    names: dict[str, str] = {}
+    for name in known:
+        names.setdefault(_folded(name), name)
+    wanted = _folded(given)
+    begun = [name for name in names if len(wanted) > 1 and name.startswith(wanted)]
+    near = list(dict.fromkeys([*get_close_matches(wanted, names, n=_MOST_NAMES), *begun]))[:_MOST_NAMES]
+    return f"; did you mean {' or '.join(repr(names[name]) for name in near)}?" if near else ""
+
+
+_MOST_NAMES = 3  # are suggested
 _COMMAND = re.compile(
     # of GitHub Actions at the beginning of a line, which a terminal's or a table's edge can make anywhere; of Azure
     # Pipelines, TeamCity and older GitHub runners anywhere
@@ -192,3 +209,7 @@ def _in_line(character: str) -> str:
     if character in _SHORT:
         return _SHORT[character]
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+def _folded(name: str) -> str:
+    return name.lower().replace("_", "-")

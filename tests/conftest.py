@@ -13,10 +13,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 
@@ -25,15 +26,14 @@ from gpusimbench.schemas.scratch import scratch_folder
 from tests.browser import Browser
 from tests.in_process import in_process
 
-# The machine that runs the tests may be slow or busy; a test says what is right, not how fast.
-settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# The machine that runs the tests may be slow or busy; a test says what is right, not how fast. Every run draws the same
+# examples: new ones are for tests.hostile.soak and tests.hostile.fuzz, which say how to see again what they found.
+settings.register_profile("any-machine", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any-machine")
 settings.register_profile(  # for make mutants, which asks whether a test fails and not of what
     "mutants",
     settings.get_profile("any-machine"),
     phases=(Phase.explicit, Phase.generate),
-    derandomize=True,
-    database=None,
 )
 
 # Tests put errors where states are worked on, in this process; test_work_process.py lets another one do it.
@@ -136,6 +136,14 @@ def wait_for(condition: Callable[[], bool]) -> None:
             return
         time.sleep(0.1)
     raise AssertionError("it did not happen within five minutes")
+
+
+def has_ended(process: psutil.Process) -> bool:
+    """Whether a process has ended, though nobody may have waited for it, as the first process of many a container does
+    not for those whose parent has ended."""
+    with suppress(psutil.NoSuchProcess):
+        return not process.is_running() or process.status() == psutil.STATUS_ZOMBIE
+    return True
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gpusimbench.schemas.commands.command_line import SHELLS
+from gpusimbench.schemas.commands.parser import SHELLS
 from tests.conftest import finished
 from tests.test_site import script
 

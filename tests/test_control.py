@@ -12,7 +12,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.recorder.environments.choice import interpreter_for
-from gpusimbench.recorder.simulators.calibration.chance import fraction
+from gpusimbench.recorder.simulators.calibration.options import fraction
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import call, finished

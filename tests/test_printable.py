@@ -123,7 +123,12 @@ def test_documents_are_no_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == '{"a": "\\\\\\u0023#[error]\\u0023\\u0023#vso["}\n'
 
 
-_PRINTERS = {"schemas/text.py", "evaluator/render/console.py", "recorder/output.py", "recorder/sets/progress.py"}
+_PRINTERS = {
+    "schemas/text.py",
+    "evaluator/render/console.py",
+    "schemas/commands/output.py",
+    "recorder/sets/progress.py",
+}
 
 
 def _prints(tree: ast.AST) -> Iterator[ast.AST]:

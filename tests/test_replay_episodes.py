@@ -18,7 +18,7 @@ from gpusimbench.evaluator.replays.document import warnings
 from gpusimbench.evaluator.replays.verdict import EpisodeVerdict, judge
 from gpusimbench.evaluator.statistics.cases import wilson
 from gpusimbench.recorder.vector.open_loop import replay
-from gpusimbench.recorder.vector.part import GivenEpisode
+from gpusimbench.recorder.vector.origin import GivenEpisode
 from gpusimbench.replay.origin import given, origin_of
 from gpusimbench.replay.parts import infos_of, parts_of, seed_of
 from tests.conftest import call, made_once, run_python

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.schemas.commands.suggestion import did_you_mean
+from gpusimbench.schemas.text import did_you_mean
 from tests.conftest import call
 from tests.test_help import PARSERS
 

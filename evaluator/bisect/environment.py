@@ -12,9 +12,9 @@ from importlib import metadata
 from pathlib import Path
 
 from gpusimbench.evaluator.compute.recorder import as_path
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.text import did_you_mean
 from gpusimbench.schemas.writing import write_file
 
 RECORDING = ("lz4", "mcap", "numpy", "protobuf", "psutil", "zstandard")

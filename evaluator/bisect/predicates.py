@@ -17,6 +17,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.numbers import length
 from gpusimbench.schemas.errors import ExitCode, GsbError, NothingComparable
+from gpusimbench.schemas.text import plural
 
 STATES, GSB_COMPARE = "states", "gsb-compare"
 
@@ -89,7 +90,9 @@ def _apart(found: Difference) -> str:
         return ""
     most, at = max(rows)
     reached = "" if found.growth.to_1mm is None else f", 1 mm at {found.growth.to_1mm:g} s"
-    return f"; bodies up to {length(most)} apart at {at:g} s{reached}"
+    fallen = found.growth.fallen if found.growth.max_not_fallen else 0  # those lie metres further apart
+    fell = f", without {plural(fallen, 'body', 'bodies')} that fell off the board" if fallen else ""
+    return f"; bodies up to {length(most)} apart at {at:g} s{fell}{reached}"
 
 
 def _folders(good: Sequence[Recording], other: Sequence[Recording]) -> list[str]:

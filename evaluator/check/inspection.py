@@ -272,7 +272,7 @@ def _captured(recording: Recording, phases: dict[str, float]) -> tuple[Rate | No
     if seconds <= 0 or recording.status != "complete":
         return None, "the capture phase has no clocks" if recording.status == "complete" else "the run is not complete"
     made = c.captured_steps
-    return Rate(c.n_env, made, seconds, frames_per_second(c.n_env, made, seconds)), ""
+    return Rate(c.n_env, made, seconds, frames_per_second(c.n_env, made, seconds), c.first_step), ""
 
 
 def _memory(recording: Recording) -> dict[str, Memory]:

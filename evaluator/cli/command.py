@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gpusimbench.schemas import PARTIAL
-from gpusimbench.schemas.commands.command_line import add_common
 from gpusimbench.schemas.commands.output import let_readers_leave
-from gpusimbench.schemas.commands.parser import Parser
+from gpusimbench.schemas.commands.parser import Parser, add_common
 from gpusimbench.schemas.commands.progress import Progress
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.location import is_address, redacted, shown, shown_argument

@@ -19,9 +19,9 @@ from gpusimbench.evaluator.cli.command import (
     new_parser,
     store_of,
 )
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.text import did_you_mean
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:

@@ -22,10 +22,9 @@ from gpusimbench.evaluator.cli.command import (
 )
 from gpusimbench.evaluator.render.formats import Format
 from gpusimbench.schemas.commands.progress import stage
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place, place
-from gpusimbench.schemas.text import line, plural, show
+from gpusimbench.schemas.text import did_you_mean, line, plural, show
 from gpusimbench.schemas.writing import write_files
 
 if TYPE_CHECKING:

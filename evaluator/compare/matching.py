@@ -16,12 +16,11 @@ from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import TELLING
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.gathering import gathered
-from gpusimbench.schemas.text import cut, few, first, plural
+from gpusimbench.schemas.text import cut, did_you_mean, few, first, plural
 from gpusimbench.schemas.vector import NO_SEED, RESET_KEYS, RESET_SEEDS
 
 ACROSS = ("simulator", "scene", "determinism", "n_env", "dt", "warmup", "timed_steps")

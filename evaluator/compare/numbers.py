@@ -31,8 +31,9 @@ _OPTIONAL: Final = (Axis.VALIDITY, Axis.VARIABILITY)
 _MOST = 1e100
 """A file may hold any number; the ratio of larger ones, or of those below its inverse, is none."""
 
-_LEAST_BYTES = 1_000_000
-"""A change of fewer bytes matters to nobody, however large it is in proportion."""
+_LEAST = {"B": 1e6, "s": 1e-3}
+"""A smaller change of memory, or of a time to build or to compile (microseconds where nothing is compiled), matters to
+nobody, however large it is in proportion."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +222,7 @@ def _values(metric: Metric, side: GroupRuns) -> Sequence[float | Missing]:
 def matters(metric: Metric, base: float, head: float, settings: Settings) -> bool:
     """Whether two values of a metric, in its base unit, are apart by more than what counts."""
     unit = metric.base_unit
-    least = _LEAST_BYTES if unit == "B" else settings.least_outcome(unit) if unit in ("cm", "rad") else 0.0
+    least = settings.least_outcome(unit) if unit in ("cm", "rad") else _LEAST.get(unit, 0.0)
     return settings.matters(base, head) and abs(head - base) >= least
 
 

@@ -194,8 +194,9 @@ def _threshold(finding: Finding, result: Result) -> str:
     if finding.ci95 and finding.base is not None:
         amounts += [finding.base * end for end in finding.ci95]
     known = [amount for amount in amounts if amount is not None]
-    tiny = finding.unit == "B" and known and result.settings.matters(min(known), max(known))
-    return "1 MB" if tiny else _percent(result.settings.threshold)
+    least = {"B": "1 MB", "s": "1 ms"}.get(finding.unit)
+    tiny = least and known and result.settings.matters(min(known), max(known))
+    return least if least and tiny else _percent(result.settings.threshold)
 
 
 def _times(ratio: float) -> str:

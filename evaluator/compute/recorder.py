@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -91,7 +92,7 @@ def run_program(
     """Run a user's program in fresh processes, each with a folder of its own in `out`; those that were begun.
 
     time_limit  of each run [s]; 0: none
-    say         gets a line at the end of each run
+    say         gets a line at the begin and at the end of each run
 
     UsageError where there is no such program; otherwise raises as `record`.
     """
@@ -124,7 +125,7 @@ def _run(command: Sequence[str], printed: IO[bytes], say: Callable[[str], None])
         # in a session of its own, so that an interruption reaches it once, through this process
         child = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.PIPE, text=True, errors="replace",
-            start_new_session=True, preexec_fn=signalled_at_its_end(signal.SIGTERM),
+            start_new_session=True, preexec_fn=signalled_at_its_end(signal.SIGTERM, os.getpid()),
         )  # fmt: skip
     except OSError as error:
         raise GsbError(f"cannot start {COMMAND}: {error.strerror}") from None

@@ -65,7 +65,7 @@ def pair_of(found: Difference, first: Divergence) -> str:
     """The first pair of environments that differs."""
     if found.one_recording or first.env_a != first.env_b:
         return f"between env {first.env_a} and env {first.env_b}"
-    return f"in env {first.env_a}"
+    return f"in env {first.env_a}{', where an episode begins' if first.begins_episode else ''}"
 
 
 def apart(number: Number, *, named: bool = False) -> str:

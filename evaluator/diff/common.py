@@ -15,8 +15,11 @@ from gpusimbench.evaluator.diff.result import Basis, Contacts, Side
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.checks import MAX_COUNT
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.fields import ENV, StateField
 from gpusimbench.schemas.provenance import engine_name
+
+EPISODE_STEP = "episode_step"
+"""Of the group ENV: the step within its episode, 0 in the state that a reset made."""
 
 _LARGEST_RATIO = 1000  # of two time steps, and of its parts as a fraction
 _TOLERANCE = 1e-9
@@ -55,6 +58,14 @@ class Selection:
         if counted is None or not at.size:
             return None
         return Contacts(float(counted.mean[at[0]]), float(counted.max[at[0]]))
+
+    def begins_episode(self, step: int, env: int) -> bool:
+        """Whether a reset after the first one made the state of a step; False where it is not known."""
+        if not step or f"{ENV}/{EPISODE_STEP}" not in {field.name for field in self.recording.fields}:
+            return False
+        states = self.recording.state(ENV, EPISODE_STEP)
+        at = np.flatnonzero(np.asarray(states.steps) == step)
+        return bool(at.size) and not np.any(states[int(at[0]), env])
 
 
 def one_env(recording: Recording, env: int) -> Selection:

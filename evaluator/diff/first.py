@@ -70,6 +70,7 @@ def first_divergence(
         state=state_difference(states, seen.first.row, a, b) if seen.first else None,
         contacts_a=a.contacts(found.phase, step),
         contacts_b=b.contacts(found.phase, step_b),
+        begins_episode=a.begins_episode(step, env_a) or b.begins_episode(step_b, env_b),
     )
 
 

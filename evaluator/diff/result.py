@@ -211,6 +211,7 @@ class Divergence:
     state           first recorded states that differ; at a later step where none was recorded at this one; None where
                     recorded states are equal again, or there are none
     contacts_a, contacts_b  at that step; None where they were not counted
+    begins_episode  an episode of a task begins in that state of env_a or env_b, by a reset after the first one
     """
 
     phase: str
@@ -225,6 +226,7 @@ class Divergence:
     state: StateDifference | None
     contacts_a: Contacts | None
     contacts_b: Contacts | None
+    begins_episode: bool
 
     @property
     def located(self) -> bool:

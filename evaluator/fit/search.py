@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.text import did_you_mean
 
 WIDEST = 10.0
 """A number is fitted between its start divided by this and its start times this."""

@@ -133,7 +133,7 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
     if recording.configuration.keep:
         histories: Histories | Missing = Missing(ONLY_FAILING)  # hashes of the first state and the last are no history
     else:
-        histories = histories_of(captured) if captured is not None else Missing("no states were captured")
+        histories = histories_of(captured) if captured is not None else Missing(_no_hashes(recording))
     if captured is None:
         ends: Histories | Missing = histories_of(of_timed) if of_timed is not None else Missing("no states were hashed")
     else:
@@ -166,6 +166,12 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
         course=course_of(recording),
         arrays=array_histories(recording),
     )
+
+
+def _no_hashes(recording: Recording) -> str:
+    fields = recording.fields[:1]  # all have the same rows
+    states = any(len(recording.state(field.group, field.field)) for field in fields)
+    return "no state hashes were recorded" if states else "no states were captured"
 
 
 def _named_time(recording: Recording) -> float | None:

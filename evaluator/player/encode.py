@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.player.clip import Clip, Track
 from gpusimbench.evaluator.player.poses import Surroundings
 from gpusimbench.schemas.text import printable
-from gpusimbench.schemas.view.shapes import Shape
+from gpusimbench.schemas.view.geometry import Shape
 
 RESOLUTION_M = 2.0**-17
 """Positions are rounded to multiples of it, 0.0076 mm, and are float32."""

@@ -12,9 +12,9 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import ENV
+from gpusimbench.schemas.view.geometry import Shape
 from gpusimbench.schemas.view.kinematics import ROBOT
 from gpusimbench.schemas.view.motion import Frame, Motion, absolute
-from gpusimbench.schemas.view.shapes import Shape
 
 _PIECE_ROWS = 4096  # read at once, so that memory does not grow with the length of a run
 _MOST_SHAPES = 4000  # that are drawn in every picture

@@ -20,10 +20,10 @@ from gpusimbench.schemas.mcap.writer import McapWriter
 from gpusimbench.schemas.messages import embedded_schema, message_class
 from gpusimbench.schemas.text import printable
 from gpusimbench.schemas.view.foxglove import event_line, status_line
+from gpusimbench.schemas.view.geometry import Solid
 from gpusimbench.schemas.view.kinematics import Vector
 from gpusimbench.schemas.view.motion import Frame, Motion, one_of
 from gpusimbench.schemas.view.recorded import NAME, ROOT, EnvView, layout
-from gpusimbench.schemas.view.shapes import Solid
 from gpusimbench.schemas.writing import new_file
 
 _SCENE, _TRANSFORMS, _LOG = "/scene", "/tf", "/log"

@@ -23,7 +23,7 @@ from gpusimbench.schemas.blocks import (
 )
 from gpusimbench.schemas.checks import MAX_COUNT
 from gpusimbench.schemas.configuration import EPOCH_NS, RunConfiguration, sim_time_ns
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, damage_in
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.contents import Message
 from gpusimbench.schemas.mcap.reader import Container
@@ -252,7 +252,8 @@ class StateArray:
     def _decode(self, part: _Part) -> NDArray[Any]:
         block = part.block
         _, content, crc = self._container.read_with_crc(block.message)
-        header, array = decode_state(content, crc=crc)
+        with damage_in(self._container.path):
+            header, array = decode_state(content, crc=crc)
         first_step = block.first_row * self._stride
         expected = (first_step, self._stride, part.env_start, block.rows, part.envs, *self.shape[2:])
         found = (header.first_step, header.stride, header.env_start, *array.shape)

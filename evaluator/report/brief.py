@@ -29,6 +29,7 @@ from gpusimbench.evaluator.report.verdicts import (
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.evaluate import Evaluation
+from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.fidelity import DEMANDED, CheckVerdict
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
@@ -81,6 +82,9 @@ def _verdict(evaluation: Evaluation) -> str:
     invalid = sum(any(run.status == "invalid" for run in r.group.recordings) for r in results)
     if invalid:
         said.append(f"{plural(invalid, 'group')} with INVALID runs")
+    misplaced = sum(bool(faults(r).misplaced) for r in results)
+    if misplaced:
+        said.append(f"{plural(misplaced, 'group')} with misplaced contacts")
     return f"{plural(len(results), 'group')}: " + "; ".join(said or [_why_none(results)])
 
 

@@ -147,8 +147,11 @@ def _who(p: Provenance) -> Iterator[tuple[str, str]]:
     recorder = recorder if isinstance(recorder, dict) else {}
     commit = str(recorder.get("commit") or "")
     modified = ", modified" if recorder.get("modified") else ""
-    by = f"gpusimbench {recorder.get('version', '(version not recorded)')}, "
-    yield "recorded", f"{p.created_utc} by {by}{f'commit {commit[:12]}{modified}' if commit else 'commit not recorded'}"
+    by = f"{recorder.get('name') or 'gpusimbench'} {recorder.get('version', '(version not recorded)')}"
+    if not recorder:
+        by = "a program that does not name itself"
+    at = f", commit {commit[:12]}{modified}" if commit else ", commit not recorded" if recorder else ""
+    yield "recorded", f"{p.created_utc} by {by}{at}"
     yield "command", " ".join(p.argv) or "not recorded"
     yield "run", f"{p.run_id}, number {p.configuration.run_index} of its set"
 

@@ -21,7 +21,7 @@ from gpusimbench.evaluator.results.canonical import Law, Unmeasured
 from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
 from gpusimbench.evaluator.results.evaluate import Evaluation
-from gpusimbench.evaluator.results.faults import faults
+from gpusimbench.evaluator.results.faults import Faults, faults
 from gpusimbench.evaluator.results.fidelity import CheckVerdict
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.paper_tables import AtMax, Capability, capability
@@ -130,7 +130,7 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "metrics": {name: _metric(metric) for name, metric in result.metrics.items()},
         "timed": timed_record(result.timed),
         "validity": _validity(result.validity),
-        "faults": vars(faults(result)),
+        "faults": _faults(faults(result)),
         "divergence": [_apart(one) for one in result.spreads],
         "physics": fidelity_record(result.fidelity),
         "laws": [_law(law) for law in result.laws],
@@ -145,6 +145,11 @@ def _law(law: Law | Unmeasured) -> dict[str, Any]:
     return {**values_of(law), "missing": ""}
 
 
+def _faults(found: Faults) -> dict[str, str]:
+    """`misplaced` where there is something to say."""
+    return {name: said for name, said in vars(found).items() if said or name != "misplaced"}
+
+
 def _validity(validity: Validity) -> dict[str, Any]:
     return {
         "counters": validity.counted,
@@ -152,6 +157,7 @@ def _validity(validity: Validity) -> dict[str, Any]:
         "overflow": validity.overflow,
         "overflow_told_by_all": validity.overflow_told.yes,
         "actions": validity.actions,
+        **({"misplaced_contacts": validity.misplaced} if validity.misplaced else {}),
     }
 
 
@@ -269,7 +275,7 @@ def _level(result: GroupResult) -> dict[str, Any]:
         "outcomes": result.group.outcomes,
         "distinct_envs": known(result.metrics["distinct_envs"].value),
         "distinct_runs": known(result.metrics["distinct_runs"].value),
-        "faults": vars(faults(result)),
+        "faults": _faults(faults(result)),
         "timed": timed_record(result.timed),
     }
 
@@ -292,7 +298,7 @@ def _at_max(at: AtMax) -> dict[str, Any]:
         "ends": at.ends,
         "contacts_per_env": at.contacts,
         "timed": timed_record(at.timed) if at.timed else None,
-        "faults": vars(at.faults),
+        "faults": _faults(at.faults),
     }
 
 

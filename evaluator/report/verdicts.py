@@ -137,8 +137,12 @@ def valid(results: Results) -> Cell:
     """Whether the steps did all of their work, as far as the engine tells."""
     runs = [run for r in results for run in r.group.recordings]
     invalid = sum(run.status == "invalid" for run in runs)
+    number = sum(r.validity.misplaced.n_run for r in results if r.validity.misplaced)
+    misplaced = (f"{number} of {plural(len(runs), 'run')}: misplaced contacts",) if number else ()
     if invalid:
-        return Cell("no", notes=(f"{invalid} of {len(runs)} INVALID",), tone=Tone.BAD)
+        return Cell("no", notes=(f"{invalid} of {len(runs)} INVALID", *misplaced), tone=Tone.BAD)
+    if misplaced:
+        return Cell("no", notes=misplaced, tone=Tone.BAD)
     other = sum(not run.usable for run in runs)
     failed = (f"{other} of {plural(len(runs), 'run')} failed",) if other else ()
     if other == len(runs):
@@ -216,7 +220,12 @@ QUESTIONS = (
         f"distance in joint space; {_MEANING}",
         alike,
     ),
-    Question("valid", "yes: no run dropped contacts or constraints, as far as the engine reports it", valid),
+    Question(
+        "valid",
+        "yes: no run dropped contacts or constraints, or has contacts outside of their bodies, as far as the engine "
+        "reports it",
+        valid,
+    ),
     Question(
         f"mechanics, {NEWEST.value}",
         f"yes: every check of mechanics that could be made holds, by the tolerances of {NEWEST.value}",
@@ -259,7 +268,8 @@ def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: 
         if left := sum(bool(r.group.complete) for r, claim in claims if claim.holds is None):
             how = f"{how}, {plural(left, 'group')} not compared"
         return Cell(f"yes{mark}", notes=(how, *at, *notes), tone=Tone.GOOD)
-    said = next((f"no, {far:.3g} {m.unit}" for m in apart if (far := _farthest(differ, m)) is not None), f"no{mark}")
+    # a distance of zero is left out: W1 is in the plane, and what differs may be heights or orientations
+    said = next((f"no, {far:.3g} {m.unit}" for m in apart if (far := _farthest(differ, m))), f"no{mark}")
     if len(compared) > 1:
         where = _option_of([r for r, holds in compared if holds], differ)
         return Cell(said, notes=(f"{len(differ)} of {len(compared)} groups", *at, *where, *notes), tone=Tone.BAD)

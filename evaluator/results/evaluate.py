@@ -37,7 +37,7 @@ from gpusimbench.evaluator.results.reference import Reference, references, toss_
 from gpusimbench.evaluator.results.result import GroupResult, Map, RunSpread
 from gpusimbench.evaluator.results.sweeps import Accumulation, Sweep, accumulations, find_sweeps
 from gpusimbench.evaluator.results.timed_work import timed_work
-from gpusimbench.evaluator.results.validity import validity_of
+from gpusimbench.evaluator.results.validity import Validity, validity_of
 from gpusimbench.evaluator.runs import memory
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, group, status_notes
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
@@ -132,13 +132,14 @@ def evaluate_group(
     if any(set_every(run.configuration) for run in runs):
         reference = Missing("the environments are set to the reference's states on the way")
     group_runs = GroupRuns(runs, reference, work, *errors)
-    doubts = (*growth.notes(runs), *known_errors.notes(group.recordings))
+    validity = validity_of(group)
+    doubts = (*growth.notes(runs), *known_errors.notes(group.recordings), *_misplaced(validity))
     result = GroupResult(
         group=group,
         label=label,
         metrics={name: metric.estimate(group_runs) for name, metric in METRICS.items()},
         cloud=None,
-        validity=validity_of(group),
+        validity=validity,
         fidelity=fidelity(label, [run.physics for run in runs]),
         laws=laws(label, [run.physics for run in runs]),
         notes=(*_notes(group, runs, reference, sample_time), *doubts, *memory.notes(runs)),
@@ -158,6 +159,11 @@ def _notes(group: Group[Run], runs: Sequence[Run], reference: Reference | Missin
     if isinstance(reference, Reference) and reference.run_id in {r.provenance.run_id for r in runs}:
         notes.append("the reference is one of this group's own runs, whose distance of zero is part of the mean")
     return notes
+
+
+def _misplaced(validity: Validity) -> list[str]:
+    said = validity.misplaced.said if validity.misplaced else ""
+    return [f"{said}: each lies outside of one of its two bodies, so the states after it are wrong"] if said else []
 
 
 def _warnings(result: GroupResult) -> list[str]:

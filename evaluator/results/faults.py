@@ -18,19 +18,21 @@ from gpusimbench.evaluator.runs.physics.facts import Check
 class Faults:
     """What is wrong with a group, each in words; empty where nothing of the kind was found.
 
-    invalid  runs that are INVALID: their steps did not do all of their work
-    sunk     cubes that went through the floor
-    broken   other checks of mechanics that do not hold
-    laws     laws in closed form that do not hold
+    invalid    runs that are INVALID: their steps did not do all of their work
+    sunk       cubes that went through the floor
+    broken     other checks of mechanics that do not hold
+    laws       laws in closed form that do not hold
+    misplaced  contacts outside of one of their two shapes
     """
 
     invalid: str = ""
     sunk: str = ""
     broken: str = ""
     laws: str = ""
+    misplaced: str = ""
 
     def __str__(self) -> str:
-        return "; ".join(part for part in (self.invalid, self.sunk, self.broken, self.laws) if part)
+        return "; ".join(part for part in (self.invalid, self.misplaced, self.sunk, self.broken, self.laws) if part)
 
     def __bool__(self) -> bool:
         return bool(str(self))
@@ -38,7 +40,8 @@ class Faults:
 
 def faults(result: GroupResult) -> Faults:
     """What the recordings of a group show against it."""
-    return Faults(_invalid(result), _sunk(result), _broken(result), _laws(result))
+    misplaced = result.validity.misplaced
+    return Faults(_invalid(result), _sunk(result), _broken(result), _laws(result), misplaced.said if misplaced else "")
 
 
 def faults_anywhere(result: GroupResult, results: Sequence[GroupResult]) -> tuple[str, ...]:

@@ -12,7 +12,6 @@ from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, MIN_R_SQUARED
 from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time, split_tree
 from gpusimbench.evaluator.metrics.levels import AxisVerdict, verdict
 from gpusimbench.evaluator.missing import Claim, Missing, why_missing
-from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.results.details import (
     AngleCurve,
     Changed,
@@ -48,11 +47,9 @@ def hashed_by(runs: Runs) -> tuple[list[tuple[Run, Histories]], bool]:
 
 
 def _no_hashes(runs: Runs) -> str:
-    if any(why_missing(r.histories) == ONLY_FAILING for r in runs) and not any(r.histories for r in runs):
-        return ONLY_FAILING
     if hashed_by(runs)[0]:
         return ""
-    return "no states were captured" if runs else NO_RUN
+    return why_missing(runs[0].histories) if runs else NO_RUN
 
 
 def _method(metric: Metric, *, timed: bool) -> str:

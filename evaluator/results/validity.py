@@ -11,7 +11,8 @@ from gpusimbench.evaluator.missing import Claim, every
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.run import BitSummary, Run
 from gpusimbench.schemas.gathering import gathered
-from gpusimbench.schemas.provenance import Buffer, OverflowBit
+from gpusimbench.schemas.provenance import MISPLACED_CONTACTS, Buffer, OverflowBit
+from gpusimbench.schemas.text import plural
 
 PHASES = ("capture", "timed")
 """In this order of preference: every captured step is counted, of the others the last of warm-up and timed phase."""
@@ -83,6 +84,26 @@ class OverflowSeen:
 
 
 @dataclass(frozen=True)
+class Misplaced:
+    """Contacts outside of one of their two shapes, over the complete runs that count them.
+
+    contacts  of all counted steps
+    n_run     runs that have any
+    of        runs that count them
+    """
+
+    contacts: int
+    n_run: int
+    of: int
+
+    @property
+    def said(self) -> str:
+        """How many there are; empty where there is none."""
+        number = plural(self.contacts, "misplaced contact", spec=",")
+        return f"{number} in {self.n_run} of {plural(self.of, 'run')}" if self.n_run else ""
+
+
+@dataclass(frozen=True)
 class ActionsApplied:
     """The streams of actions of one phase, over the complete runs.
 
@@ -108,6 +129,7 @@ class Validity:
     overflow   bits that fired; empty where none did, None where the engine does not tell
     actions    by phase; empty where the scene has none
     overflow_told  whether every run tells of its overflow
+    misplaced  None where no complete run counts them
     """
 
     counted: tuple[Counted, ...]
@@ -115,6 +137,7 @@ class Validity:
     overflow: tuple[OverflowSeen, ...] | None
     actions: tuple[ActionsApplied, ...]
     overflow_told: Claim = NOTHING_TOLD
+    misplaced: Misplaced | None = None
 
     def of(self, name: str, *phases: str) -> Counted | None:
         """A counter in the first of these phases that has it; by default in order of PHASES."""
@@ -130,6 +153,7 @@ def validity_of(group: Group[Run]) -> Validity:
         overflow=_overflow(group.recordings),
         actions=tuple(_actions(group.complete)),
         overflow_told=_overflow_told(group.complete),
+        misplaced=_misplaced(group.complete),
     )
 
 
@@ -185,6 +209,15 @@ def _overflow_told(runs: Sequence[Run]) -> Claim:
     telling = sum(bool(run.overflows) for run in runs)
     why_not = f"{telling} of {len(runs)} complete runs tell of their overflow" if runs else NOTHING_TOLD.why_not
     return every((True if run.overflows else None for run in runs), why_not)
+
+
+def _misplaced(runs: Sequence[Run]) -> Misplaced | None:
+    found = [
+        sum(round(c.mean * run.configuration.n_env * c.rows) for c in counted)
+        for run in runs
+        if (counted := [by[MISPLACED_CONTACTS] for by in run.counts.values() if MISPLACED_CONTACTS in by])
+    ]
+    return Misplaced(sum(found), sum(map(bool, found)), len(found)) if found else None
 
 
 def _seen(described: OverflowBit | None, found: Sequence[tuple[BitSummary, str, bool, int]]) -> OverflowSeen:

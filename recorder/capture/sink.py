@@ -16,9 +16,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.recorder.clock import calendar_ns
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.plan import partial_of, publish
+from gpusimbench.recorder.probes.host import calendar_ns
 from gpusimbench.schemas import FORMAT, __version__, topics
 from gpusimbench.schemas.configuration import EPOCH_NS
 from gpusimbench.schemas.digest import ContentDigest, content_hash

@@ -11,11 +11,12 @@ import json
 import math
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -84,7 +85,7 @@ class WorkProcess:
                 )
                 failing.callback(self.close)
             here.close()  # a process that has died reads nothing, and only then that is found out
-            with suppress(OSError):
+            with suppress(OSError), _no_broken_pipe():
                 self._connection.send(stream)
             failing.pop_all()
 
@@ -153,10 +154,9 @@ class WorkProcess:
     def _send(self, order: Order | None) -> None:
         if os.getpid() != self._owner:
             raise RuntimeError("the process that hashes and digests states works for another process")
-        if self._child.poll() is not None:
-            raise self._dead()  # sending would raise SIGPIPE, which ends a program that has its default action
         try:
-            self._connection.send(order)
+            with _no_broken_pipe():
+                self._connection.send(order)
         except OSError:
             raise self._dead() from None
 
@@ -216,6 +216,19 @@ class WorkProcess:
         how = "gave no answer" if code is None else f"ended with exit code {code}"
         how = f"was killed by signal {-code}" if code and code < 0 else how
         return RuntimeError(f"the process that hashes and digests states {how}")
+
+
+@contextmanager
+def _no_broken_pipe() -> Iterator[None]:
+    """No SIGPIPE from the calling thread within the block, which ends a program that has its default action: the
+    process may end at any moment. The call fails all the same."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
+    try:
+        yield
+    finally:
+        if signal.SIGPIPE not in before:
+            signal.sigtimedwait({signal.SIGPIPE}, 0)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGPIPE})
 
 
 def _flags() -> list[str]:

@@ -43,7 +43,7 @@ class Agent:
                 text=True, errors="replace", env=self._environment(), start_new_session=True,
             )  # fmt: skip
             threading.Thread(target=self._read, args=(self._process, self._lines), daemon=True).start()
-        self.say(key, first)
+            self.say(key, first)  # before any other line, for which another call may be there already
 
     def lines(self, known: int) -> tuple[list[str], bool]:
         """The lines after so many that the caller knows, and whether these are all; none after some silence."""
@@ -53,12 +53,13 @@ class Agent:
 
     def say(self, key: str, line: str) -> None:
         """A line of input to the process of that key; calls overtake each other, and another one's would be harmful."""
-        process = self._process
-        if key != self._key or process is None or process.stdin is None:
-            return
-        with suppress(OSError, ValueError):  # it has ended, or its input has
-            process.stdin.write(line + "\n")
-            process.stdin.flush()
+        with self._news:
+            process = self._process
+            if key != self._key or process is None or process.stdin is None:
+                return
+            with suppress(OSError, ValueError):  # it has ended, or its input has
+                process.stdin.write(line + "\n")
+                process.stdin.flush()
 
     def end(self) -> None:
         """Close the process's input, at which it brings itself to an end, and wait for that."""
@@ -81,14 +82,15 @@ class Agent:
     def _read(self, process: subprocess.Popen[str], lines: list[str]) -> None:
         size = 0
         assert process.stdout is not None
-        for line in process.stdout:
-            size += len(line)
-            if size > _KEPT_BYTES:
-                process.kill()
-                break
-            with self._news:
-                lines.append(line.rstrip("\n"))
-                self._news.notify_all()
+        with process.stdout:
+            for line in process.stdout:
+                size += len(line)
+                if size > _KEPT_BYTES:
+                    process.kill()
+                    break
+                with self._news:
+                    lines.append(line.rstrip("\n"))
+                    self._news.notify_all()
         process.wait()
         with self._news:
             if lines is self._lines:

@@ -27,7 +27,7 @@ from typing import Any
 from gpusimbench import recorder, schemas
 from gpusimbench.recorder.environments.choice import check_known, interpreter_for
 from gpusimbench.recorder.probes.gpu import Gpus
-from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.recorder.probes.host import describe_software
 from gpusimbench.recorder.process.launch import Interruptions, make
 from gpusimbench.recorder.process.planned_run import PlannedRun
 from gpusimbench.recorder.sets.finished import where_am_i

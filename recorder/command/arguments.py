@@ -7,9 +7,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from gpusimbench.recorder.command.manual import EPILOG, USAGE
-from gpusimbench.recorder.command.parser import RecordParser, names
-from gpusimbench.schemas.commands.command_line import add_common
+from gpusimbench.recorder.command.parser import EPILOG, USAGE, RecordParser, names
+from gpusimbench.schemas.commands.parser import add_common
 from gpusimbench.schemas.configuration import CAPTURE_MODES, USUAL_PHASES
 from gpusimbench.schemas.treatment import KINDS
 

@@ -12,8 +12,8 @@ from gpusimbench.recorder.command.arguments import OUT, OUT_OF_REPLAYS, parser
 from gpusimbench.recorder.command.configure import check_configuration, configure, given_options, parsed_phases
 from gpusimbench.recorder.command.parser import fill
 from gpusimbench.recorder.interruption import shielded
-from gpusimbench.recorder.output import flush, show, show_document, show_path
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
+from gpusimbench.schemas.commands.output import flush, show, show_document, show_path
 from gpusimbench.schemas.commands.progress import Progress, stage
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
@@ -208,9 +208,9 @@ def run(given: list[str]) -> int:
         raise UsageError("no simulator given: use --sim NAME; gsb-record --list shows the simulators")
     fill(arguments, command_line.unless_given)
     with shielded():
-        from gpusimbench.recorder import clock
+        from gpusimbench.recorder.probes.host import clock_problem
         from gpusimbench.recorder.sets.progress import say
-    if wrong := clock.problem():
+    if wrong := clock_problem():
         say(wrong)
     command = ("gsb-record", *(stored_text(text) for text in given))
     if arguments.replay is not None:

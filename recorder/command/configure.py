@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from gpusimbench.recorder.command.arguments import N_ENV, SCENE, SHORTHANDS
 from gpusimbench.recorder.interruption import shielded
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import SETTINGS, RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.initial import GIVEN
+from gpusimbench.schemas.text import did_you_mean
 from gpusimbench.schemas.treatment import CONTROLS
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import make_scene, scene_names
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.registry import Entry, simulators
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.text import did_you_mean
 
 Json = dict[str, Any]
 

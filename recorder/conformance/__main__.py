@@ -16,11 +16,10 @@ from gpusimbench.recorder.conformance import CHECKS, Check, NotApplicable, Subje
 from gpusimbench.recorder.environments.choice import interpreter_for
 from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.options import split_options
-from gpusimbench.recorder.output import show, show_document
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.simulators.registry import find_simulator
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
-from gpusimbench.schemas.commands.output import leavable, let_readers_leave
+from gpusimbench.schemas.commands import SCHEMA_VERSION
+from gpusimbench.schemas.commands.output import leavable, let_readers_leave, show, show_document
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.scratch import scratch_folder
 from gpusimbench.schemas.text import line

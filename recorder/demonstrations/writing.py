@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.demonstrations.data_set import DataSet, Demonstration
 from gpusimbench.recorder.log import RecordingWriter
-from gpusimbench.recorder.vector.fields import GIVEN, field_of, recorded_dtype
-from gpusimbench.recorder.vector.infos import array_name
+from gpusimbench.recorder.vector.fields import GIVEN, array_name, field_of, recorded_dtype
 from gpusimbench.recorder.vector.modes import Mode
-from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID, VECTORIZED
-from gpusimbench.recorder.vector.part import attachments
+from gpusimbench.recorder.vector.origin import KEYWORDS, SPEC_ID, VECTORIZED, attachments
 from gpusimbench.schemas.errors import DamagedRecording, Unreachable
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.vector import DATA_SET, FINAL_GIVEN, NOT_GIVEN, PHYSICS

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gpusimbench import schemas
-from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.recorder.probes.host import describe_software
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.scratch import scratch_folder
 
@@ -39,7 +39,7 @@ print(json.dumps({"version": list(sys.version_info[:3]), "missing": [n for n in 
 _SOFTWARE = """
 import json
 from gpusimbench import schemas
-from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.recorder.probes.host import describe_software
 print(json.dumps(describe_software()))
 """
 
@@ -87,7 +87,7 @@ class Interpreter:
         return {**theirs, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
 
     def software(self) -> dict[str, Any]:
-        """What recorder.probes.software says there."""
+        """What recorder.probes.host says there."""
         if self.own:
             return describe_software()
         with scratch_folder() as (folder, _):

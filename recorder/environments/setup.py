@@ -25,7 +25,7 @@ from gpusimbench.recorder.environments.store import (
     store,
 )
 from gpusimbench.recorder.plan import utc_now
-from gpusimbench.recorder.probes.software import NUMERIC_PACKAGES
+from gpusimbench.recorder.probes.host import NUMERIC_PACKAGES
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import GsbError, UsageError

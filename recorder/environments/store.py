@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.text import did_you_mean
 from gpusimbench.schemas.writing import write_file
 
 FOLDER = Path(__file__).parent / "requirements"

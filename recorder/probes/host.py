@@ -1,11 +1,17 @@
-"""The machine that records."""
+"""The machine that records, its clock and its software: versions, commit, installed packages."""
 
 from __future__ import annotations
 
 import os
 import platform
+import subprocess
+import sys
+import time
+from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+from gpusimbench import schemas
 
 NUMERIC_ENVIRONMENT = (
     "CUDA_",
@@ -107,3 +113,109 @@ def _cpu_flags() -> list[str]:
     relevant = ("sse4_2", "avx", "avx2", "fma", "avx512f", "avx512vl", "avx512_bf16", "amx_tile", "asimd", "sve")
     present = set((_cpuinfo("flags") or _cpuinfo("Features")).split())
     return [flag for flag in relevant if flag in present]
+
+
+LAST_NS = 2**63 - 1
+"""The largest time that a recording holds [ns]: a moment in 2262."""
+
+
+def calendar_ns() -> int:
+    """UTC since the Unix epoch [ns]; 0 where the machine's clock stands before it, LAST_NS behind what can be held."""
+    return min(max(0, time.time_ns()), LAST_NS)
+
+
+def clock_problem() -> str:
+    """What is wrong with the machine's clock, and what is recorded instead; empty where nothing is."""
+    now = time.time_ns()
+    if 0 <= now <= LAST_NS:
+        return ""
+    when, instead = ("before 1970", "1970-01-01T00:00:00Z") if now < 0 else ("behind 2262", "the last moment that fits")
+    return (
+        f"this machine's clock stands {when}: calendar times within the recording are {instead}; set the clock. "
+        "No interval is measured by it"
+    )
+
+
+NUMERIC_PACKAGES = (
+    "brax",
+    "genesis-world",
+    "isaaclab",
+    "jax",
+    "jaxlib",
+    "mani-skill",
+    "mcap",
+    "mujoco",
+    "mujoco-mjx",
+    "mujoco-warp",
+    "newton",
+    "numpy",
+    "ovphysx",
+    "ovstage",
+    "playground",
+    "protobuf",
+    "quadrants",
+    "sapien",
+    "taichi",
+    "torch",
+    "warp-lang",
+)
+"""Distributions whose version can change a number; the whole list is attached as pip-freeze.txt."""
+
+
+def describe_software() -> dict[str, Any]:
+    """Versions of Python, of the recorder and of NUMERIC_PACKAGES."""
+    return {
+        "python": sys.version.split()[0],
+        "implementation": platform.python_implementation(),
+        "recorder": {"version": schemas.__version__, **_commit()},
+        "packages": {name: version for name in NUMERIC_PACKAGES if (version := _version(name))},
+    }
+
+
+def package_list() -> str:
+    """Every installed distribution, one "name==version" a line; of several versions of one, that which is imported."""
+    versions: dict[str, str | None] = {}
+    for found in metadata.distributions():  # in the order in which Python looks for modules
+        name, version = _name_and_version(found)
+        versions.setdefault(name, version)
+    return "".join(f"{name}=={versions[name]}\n" for name in sorted(versions, key=lambda n: (n.lower(), n)))
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return _name_and_version(metadata.distribution(distribution))[1]
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _name_and_version(found: metadata.Distribution) -> tuple[str, str | None]:
+    # importlib.metadata parses the description, too, a page of each package: half of the time of a short run
+    try:
+        text = found.read_text("METADATA") or found.read_text("PKG-INFO")
+    except UnicodeDecodeError:  # of another package, which is no reason to record nothing
+        return "?", None
+    if text is None:  # a file alone, as distutils left it
+        return found.metadata["Name"] or "?", found.version
+    fields: dict[str, str] = {}
+    for line in text.partition("\n\n")[0].split("\n"):  # splitlines() also splits values, at U+2028 and its like
+        field, _, value = line.partition(":")
+        fields.setdefault(field.lower(), value.strip())
+    return fields.get("name") or "?", fields.get("version")
+
+
+def _commit() -> dict[str, Any]:
+    root = Path(schemas.__file__).resolve().parent.parent
+    # only a checkout of this project itself: an installed package may lie inside somebody else's repository
+    if not ((root / ".git").exists() and (root / "pyproject.toml").exists()):
+        return {"commit": None}
+    try:
+        commit = _git(root, "rev-parse", "HEAD")
+        changed = _git(root, "status", "--porcelain", "--untracked-files=no", "--", "schemas", "recorder")
+    except (OSError, subprocess.SubprocessError):
+        return {"commit": None}
+    return {"commit": commit, "modified": bool(changed)}
+
+
+def _git(root: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True, timeout=10)
+    return done.stdout.strip()

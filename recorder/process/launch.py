@@ -101,15 +101,16 @@ class Interruptions:
         self.add()
 
     def _pass_on(self) -> None:
-        if self._child is None or not self.count:
+        child, mark = self._child, self._mark  # of which another thread may say meanwhile that there is none any more
+        if child is None or not self.count:
             return
         if self.count > 1:
-            self._child.kill()
+            child.kill()
         else:
-            if self._mark is not None:
+            if mark is not None:
                 with suppress(OSError):
-                    create(self._mark).close()
-            self._child.send_signal(signal.SIGINT)  # the run heeds only the first of these
+                    create(mark).close()
+            child.send_signal(signal.SIGINT)  # the run heeds only the first of these
 
 
 def make(

@@ -1,6 +1,7 @@
 """Runs of a program, one after another: ``python -m gpusimbench.recorder.programs RUNS OUT TIME_LIMIT PROGRAM...``.
 
-gsb-run and gsb-audit --command start it. Standard output gets one JSON object, standard error a line at each end.
+gsb-run and gsb-audit --command start it. Standard output gets one JSON object, standard error a line at each begin and
+each end.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from pathlib import Path
 
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.process.launch import Interruptions
-from gpusimbench.recorder.programs.run import ProgramRun, adopt, end_with_parent, new_folder, run_program
+from gpusimbench.recorder.programs.run import OUTPUT, ProgramRun, adopt, end_with_parent, new_folder, run_program
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.text import line, show, show_document
 
@@ -27,6 +28,7 @@ def main() -> int:
         with Interruptions() as interruptions, Gpus() as gpus:
             for _ in range(int(runs)):
                 folder = new_folder(Path(out))
+                show(line(f"{folder}: begun; what the program prints goes to {folder / OUTPUT}"), error=True)
                 made.append(
                     run_program(
                         command, folder, time_limit=float(time_limit), gpus=gpus, interruptions=interruptions

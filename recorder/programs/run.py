@@ -161,7 +161,7 @@ def _start(command: Sequence[str], folder: Path) -> subprocess.Popen[bytes]:
             return subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.STDOUT,
                 env={**os.environ, VARIABLE: str(folder.absolute())}, start_new_session=True,
-                preexec_fn=signalled_at_its_end(signal.SIGKILL),
+                preexec_fn=signalled_at_its_end(signal.SIGKILL, os.getpid()),
             )  # fmt: skip
         except FileNotFoundError:
             raise UsageError(f"there is no program {command[0]}") from None
@@ -215,12 +215,9 @@ def end_with_parent() -> None:
 
     On Linux alone.
     """
-    if tell := signalled_at_its_end(signal.SIGUSR1):
-        parent = os.getppid()
+    if tell := signalled_at_its_end(signal.SIGUSR1, os.getppid()):
         signal.signal(signal.SIGUSR1, _ended)
         tell()
-        if os.getppid() != parent:
-            _ended()
 
 
 def _ended(*_: object) -> None:

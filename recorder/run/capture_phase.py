@@ -13,10 +13,9 @@ from gpusimbench.recorder.capture.actions import ActionWriter
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
 from gpusimbench.recorder.capture.ranges import Ranges, row_bytes
 from gpusimbench.recorder.capture.states import StateWriter
-from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.capture.workers import Workers
-from gpusimbench.recorder.capture.writing import Block, Writing
+from gpusimbench.recorder.capture.writing import Block, CaptureClock, Writing, step_and_capture
 from gpusimbench.recorder.failure import NoHostMemory
 from gpusimbench.recorder.run.given_actions import begin_anew, prepare, write_applied
 from gpusimbench.recorder.run.intervention import Teacher, intervene

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder import interruption
 from gpusimbench.recorder.capture.flight import MOST, FlightWriter
 from gpusimbench.recorder.capture.states import declare_fingerprints, write_fingerprints
-from gpusimbench.recorder.capture.stepping import CaptureClock
+from gpusimbench.recorder.capture.writing import CaptureClock
 from gpusimbench.recorder.run.given_actions import begin_anew, prepare, write_applied
 from gpusimbench.recorder.run.intervention import intervene
 from gpusimbench.recorder.run.journal import Journal

@@ -10,11 +10,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder import clock, interruption
+from gpusimbench.recorder import interruption
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
 from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.view import LogWriter
+from gpusimbench.recorder.probes.host import calendar_ns
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.schemas import topics
@@ -56,7 +57,7 @@ class Journal:
             kind=self._events[f"EVENT_KIND_{kind}"],
             phase=self.phase,
             monotonic_ns=time.perf_counter_ns(),
-            unix_ns=clock.calendar_ns(),
+            unix_ns=calendar_ns(),
             text=text,
         )
         self.sink.write(topics.RUN_EVENT, message.SerializeToString())

@@ -23,14 +23,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.recorder import clock, interruption
+from gpusimbench.recorder import interruption
 from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.view import LogWriter
 from gpusimbench.recorder.failure import Interrupted, TimedOut, cause_of
 from gpusimbench.recorder.probes.gpu import Gpus
-from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
-from gpusimbench.recorder.probes.software import describe_software, package_list
+from gpusimbench.recorder.probes.host import (
+    clock_problem,
+    describe_host,
+    describe_software,
+    numeric_environment,
+    package_list,
+    peak_rss_bytes,
+)
 from gpusimbench.recorder.run import vary
 from gpusimbench.recorder.run.capture_phase import CapturePhase
 from gpusimbench.recorder.run.engine import Engine, apply_environment
@@ -203,7 +209,7 @@ class Run:
         sampling = Sampling(journal.sink, gpus)
         try:
             with Phase(journal, sampling, "baseline"):
-                for problem in filter(None, (clock.problem(), *gpus.problems)):
+                for problem in filter(None, (clock_problem(), *gpus.problems)):
                     journal.event("NOTE", problem)
                 sampling.checkpoint("baseline")
                 sampling.start()

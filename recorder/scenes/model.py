@@ -22,10 +22,10 @@ from gpusimbench.recorder.abilities import Ability
 from gpusimbench.recorder.scenes.actions import controls_from
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas.action_generator import Controls, JointTargets
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.model_files import unpack
 from gpusimbench.schemas.scratch import empty_folder
+from gpusimbench.schemas.text import did_you_mean
 from gpusimbench.schemas.treatment import FromFile
 
 BODIES, JOINTS, BALLS = "bodies", "joints", "balls"

@@ -12,9 +12,9 @@ from importlib import import_module, metadata
 
 from gpusimbench.recorder.failure import in_words
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.text import did_you_mean
 from gpusimbench.schemas.treatment import CONTROLS
 
 ENTRY_POINTS = "gsb.scenes"

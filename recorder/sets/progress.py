@@ -9,9 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-from gpusimbench.recorder.output import show_path
 from gpusimbench.recorder.process.launch import Result
 from gpusimbench.recorder.run.pace import Pace
+from gpusimbench.schemas.commands.output import show_path
 from gpusimbench.schemas.commands.progress import Ticker, duration, is_terminal
 from gpusimbench.schemas.text import line, show
 

@@ -32,8 +32,6 @@ from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMU
 from gpusimbench.schemas.text import cut, ordinal, plural
 from gpusimbench.schemas.treatment import CONTROLS, VARIED, FromFile, snapshot_name
 
-"""What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
-
 CODE_OPTIONS = ("module",)
 """Options that name code to be loaded: never taken from a file."""
 

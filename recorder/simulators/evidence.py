@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.schemas.provenance import MISPLACED_CONTACTS as MISPLACED
 from gpusimbench.schemas.provenance import Counter
 
 
@@ -43,4 +44,9 @@ SOLVER_ITERATIONS = Counter("solver_iterations", "iterations that the constraint
 AWAKE_BODIES = Counter("awake_bodies", "bodies that were simulated, not put to sleep")
 CANDIDATE_PAIRS = Counter(
     "candidate_pairs", "pairs of shapes whose bounding spheres overlap, in the fullest collision function"
+)
+MISPLACED_CONTACTS = Counter(
+    MISPLACED,
+    "contacts outside of one of their two shapes: farther from its centre than twice its bounding radius plus the "
+    "contact's own distance",
 )

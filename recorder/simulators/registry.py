@@ -16,9 +16,9 @@ from gpusimbench.recorder.failure import in_words
 from gpusimbench.recorder.interruption import blocked
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Simulator
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.text import did_you_mean
 
 ENTRY_POINTS = "gsb.simulators"
 _TASKS = ("gym", "gymnasium")

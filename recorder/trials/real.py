@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.plan import MIN_DT, prepare_folder, release, reserve, utc_now
-from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.recorder.probes.host import describe_software
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.trials.tosses import VARIABLE, read_tosses
@@ -190,7 +190,10 @@ def parse_trials(text: str, *, unit: str, cubes: int) -> Trials:
 def _components(columns: list[str]) -> tuple[str, ...]:
     for name in COLUMNS:
         if name not in columns:
-            raise UsageError(f"row 1: column {name} is missing; the header is trial,cube,x,y or trial,cube,x,y,z")
+            raise UsageError(
+                f"row 1: column {name} is missing; the header is trial,cube,x,y or trial,cube,x,y,z; positions or "
+                "joint angles over time: see docs/how-to/real-trials.md"
+            )
     for name in columns:
         if name not in (*COLUMNS, HEIGHT):
             raise UsageError(f"row 1: column '{name}' is not known; the header is trial,cube,x,y or trial,cube,x,y,z")

@@ -28,6 +28,7 @@ from gpusimbench.schemas.initial import Given
 from gpusimbench.schemas.tosses import GROUP, MAX_TOSSES, NOTICE, TossSet
 from gpusimbench.schemas.tosses import SYNTHETIC as SYNTHETIC_SOURCE
 from gpusimbench.schemas.treatment import TEACHER
+from gpusimbench.schemas.view.kinematics import rotate
 
 VARIABLE = "GSB_CUBE_TOSS"
 """Environment variable with the path of the set, where --tosses is not given."""
@@ -184,7 +185,7 @@ def _corrected(raw: dict[str, Any], first: NDArray[np.int64], source: str, sha25
         position,
         raw["quaternion"],
         raw["velocity"] * scale,
-        rotated(raw["quaternion"], raw["angular_velocity"]),
+        rotate(raw["quaternion"], raw["angular_velocity"]),
         notice,
     )
 
@@ -194,14 +195,6 @@ def lowest(quaternion: Floats) -> Floats:
     w, x, y, z = quaternion.T
     vertical = np.abs(np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]))
     return np.asarray(vertical.sum(axis=0) * _HALF)
-
-
-def rotated(quaternion: Floats, vector: Floats) -> Floats:
-    """Vectors [row, 3] of a body's frame in the world's; quaternions [row, 4] wxyz, body to world."""
-    w, axis = quaternion[:, :1], quaternion[:, 1:]
-    twice = 2.0 * np.cross(axis, vector)
-    turned: Floats = vector + w * twice + np.cross(axis, twice)
-    return turned
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -11,9 +11,9 @@ from typing import Any
 import gymnasium
 
 from gpusimbench.recorder.vector.maniskill import stated
+from gpusimbench.recorder.vector.open_loop import Started
 from gpusimbench.recorder.vector.origin import STATED, SUITED
 from gpusimbench.recorder.vector.robosuite import suited
-from gpusimbench.recorder.vector.starts import Started
 from gpusimbench.schemas.errors import UsageError
 
 _OF_PACKAGES = {STATED: stated, SUITED: suited}

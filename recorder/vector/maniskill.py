@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.vector.fields import field_of
-from gpusimbench.recorder.vector.origin import STATED
-from gpusimbench.recorder.vector.part import State
-from gpusimbench.recorder.vector.starts import Started
+from gpusimbench.recorder.vector.open_loop import Started
+from gpusimbench.recorder.vector.origin import STATED, State
 from gpusimbench.schemas.errors import UsageError
 
 _UNSEEN = {"obs_mode": "none", "render_mode": None}

@@ -1,12 +1,19 @@
-"""How a vector environment was made, as far as a recording can say it, so that it can be made again."""
+"""How a vector environment was made and its episodes begun, as far as a recording can say it, so that a replay can make
+it again. It is known without Gymnasium, which only the replay itself needs."""
 
 from __future__ import annotations
 
+import gzip
 import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from numbers import Integral
-from typing import Any
+from typing import Any, Protocol
 
-from gpusimbench.schemas.vector import NO_SEED, RESET_SEEDS
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.schemas.vector import MODELS, NO_SEED, RESET_SEEDS, SEEDS
 
 SPEC_ID, KEYWORDS, WRAPPERS, VECTORIZED = "env_id", "env_kwargs", "env_wrappers", "vectorization"
 """Options of a recording: id of Gymnasium's registry, keywords as JSON, names of wrappers, "sync" or another word."""
@@ -69,3 +76,58 @@ def _json(keywords: dict[str, Any]) -> str:
         return json.dumps(keywords, sort_keys=True)
     except (TypeError, ValueError):
         return NOT_JSON
+
+
+ACTION = "action"
+"""Of the arrays of actions, the beginning of the name."""
+
+State = Mapping[str, NDArray[np.floating]]
+"""MuJoCo's "qpos" and "qvel", in the units of the model; of ManiSkill and robosuite, the arrays of
+a whole state by their names in a recording."""
+
+
+@dataclass(frozen=True)
+class GivenEpisode:
+    """What an environment is fed in one episode.
+
+    actions  by the name of the array in a recording, [step, ...], in the dtype that the environment was given
+    seed     of the reset that begins it; None: the environment goes on with its random numbers
+    state    with which it begins; None: the reset decides
+    model    MJCF of the model in which it begins; None: that of the task
+    """
+
+    actions: Mapping[str, NDArray[Any]]
+    seed: int | None = None
+    state: State | None = None
+    model: str | None = None
+
+    def __len__(self) -> int:
+        return len(next(iter(self.actions.values()), ()))
+
+
+class EpisodeStart(Protocol):
+    """An episode of which the seed of its reset and the model in which it begins are known; None where they are not."""
+
+    @property
+    def seed(self) -> int | None: ...
+    @property
+    def model(self) -> str | None: ...
+
+
+def attachments(parts: Sequence[Sequence[EpisodeStart]]) -> dict[str, tuple[str, bytes]]:
+    """What a recording of episodes [env][episode] keeps of how each began: media type and bytes, by name.
+
+    Empty where neither seeds nor models are known.
+    """
+    found = {}
+    every = [part for of_env in parts for part in of_env]
+    if any(part.seed is not None for part in every):
+        seeds = [[part.seed for part in of_env] for of_env in parts]
+        found[SEEDS] = ("application/json", json.dumps(seeds).encode())
+    if any(part.model is not None for part in every):
+        texts = list(dict.fromkeys(part.model for part in every if part.model is not None))
+        numbers = {text: number for number, text in enumerate(texts)}
+        of_parts = [[None if part.model is None else numbers[part.model] for part in of_env] for of_env in parts]
+        told = json.dumps({"models": texts, "episodes": of_parts})
+        found[MODELS] = ("application/gzip", gzip.compress(told.encode(), mtime=0))
+    return found

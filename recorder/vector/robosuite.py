@@ -10,8 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from gpusimbench.recorder.vector.origin import SUITED
-from gpusimbench.recorder.vector.part import GivenEpisode
+from gpusimbench.recorder.vector.origin import SUITED, GivenEpisode
 from gpusimbench.schemas.errors import UsageError
 
 _UNSEEN = {

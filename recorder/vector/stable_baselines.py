@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from gpusimbench.recorder.vector.infos import FINAL_INFO
+from gpusimbench.recorder.vector.fields import FINAL_INFO
 from gpusimbench.recorder.vector.wrapper import Recorded
 
 _CUT, _FINAL = "TimeLimit.truncated", "terminal_observation"

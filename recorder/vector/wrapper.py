@@ -15,8 +15,16 @@ from gpusimbench.recorder.interruption import postponed
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.device.rows import check_envs
 from gpusimbench.recorder.vector.ending import Ending, Hashes
-from gpusimbench.recorder.vector.fields import NO_STEP, NOT_GIVEN, Images, fields_of, recorded_dtype
-from gpusimbench.recorder.vector.infos import array_name, info_arrays, nothing_told
+from gpusimbench.recorder.vector.fields import (
+    NO_STEP,
+    NOT_GIVEN,
+    Images,
+    array_name,
+    fields_of,
+    info_arrays,
+    nothing_told,
+    recorded_dtype,
+)
 from gpusimbench.recorder.vector.modes import Ledger, Mode, final_name, five, mode_of, with_final
 from gpusimbench.recorder.vector.origin import origin_of, seed_of
 from gpusimbench.schemas.errors import UsageError

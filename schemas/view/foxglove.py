@@ -10,8 +10,8 @@ import numpy as np
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.text import line
 from gpusimbench.schemas.view import foxglove
+from gpusimbench.schemas.view.geometry import IDENTITY, Shape
 from gpusimbench.schemas.view.kinematics import Vector, rotate
-from gpusimbench.schemas.view.shapes import IDENTITY, Shape
 
 Colour = tuple[float, float, float]
 _NS = 1_000_000_000

@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.view.coordinates import QPOS, coordinates_of
-from gpusimbench.schemas.view.geometry import Look
-from gpusimbench.schemas.view.kinematics import ROBOT, Key, Link, Placed, product, rotate, unit
-from gpusimbench.schemas.view.shapes import IDENTITY
+from gpusimbench.schemas.view.geometry import IDENTITY, Look
+from gpusimbench.schemas.view.kinematics import QPOS, ROBOT, Key, Link, Placed, coordinates_of, product, rotate, unit
 
 
 class MovingPart(NamedTuple):

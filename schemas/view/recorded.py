@@ -19,10 +19,9 @@ from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.text import printable
 from gpusimbench.schemas.view import foxglove
-from gpusimbench.schemas.view.geometry import Look
+from gpusimbench.schemas.view.geometry import IDENTITY, Look, Solid
 from gpusimbench.schemas.view.kinematics import ROBOT, Vector
 from gpusimbench.schemas.view.motion import Frame, Motion, one_of
-from gpusimbench.schemas.view.shapes import IDENTITY, Solid
 
 ROOT = "world"
 

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from gpusimbench.schemas.commands.command_line import add_common
 from gpusimbench.schemas.commands.output import let_readers_leave
-from gpusimbench.schemas.commands.parser import Parser
+from gpusimbench.schemas.commands.parser import Parser, add_common
 from gpusimbench.schemas.text import block, show, write_every_sign
 
 

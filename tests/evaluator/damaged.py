@@ -140,6 +140,7 @@ WRITTEN: dict[str, dict[str, Any]] = {
     "no-dropouts": {"dropout": "the disk was full"},
     "provenance": {"change": changing(PROVENANCE, host={})},
     "observer": _timed_hashes(),
+    "misplaced-contacts": {"shown": Shown(counts={"capture": {"misplaced_contacts": np.ones((5, 2), int)}})},
     "end": {"end": False},
 }
 """What to write, by the rule of integrity-1 that it breaks."""

@@ -24,7 +24,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.audit.distribution import LawTest, Unit, least_p, runs_needed, same_law
 from gpusimbench.evaluator.audit.replays import ReplayPlan, closest
 from gpusimbench.evaluator.audit.verdict import AuditLevel, Match, ladder
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from gpusimbench.schemas.provenance import SIMULATION
 from tests.conftest import call, distribution, wait_for
 from tests.forging import forge

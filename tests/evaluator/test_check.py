@@ -22,7 +22,7 @@ from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PR
 from gpusimbench.evaluator.check.rules.rule import SHIPPED, Scope, Severity, load_rules, parse_rules
 from gpusimbench.evaluator.cli.check import main
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
@@ -192,7 +192,7 @@ def test_what_is_damage_and_what_is_a_warning() -> None:
     """Call a file damaged whose content is not what was recorded; of what it says of itself, some is only wrong, and
     what takes nothing from the data is a warning."""
     rules = [rule for name in ("integrity-1", "recorders-1") for rule in load_rules(name).rules]
-    warnings = {"known-records", "crc-present", "confirmed", "observer", "known-errors"}
+    warnings = {"known-records", "crc-present", "confirmed", "observer", "misplaced-contacts", "known-errors"}
     wrong = {"hashes-at-every-step", "clocks", "consistent", "provenance"}
     assert {rule.id for rule in rules if rule.level is Severity.warning} == warnings
     assert {rule.id for rule in rules if not rule.damage} == warnings | wrong

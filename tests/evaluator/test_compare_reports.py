@@ -275,17 +275,30 @@ def test_the_workflow_works(tmp_path: Path, path: str) -> None:
         **job["env"], "N_ENV": "2", "PAIRS": "2", "GITHUB_STEP_SUMMARY": str(tmp_path / "shown.md"),
         "RECORD": "--scene inclined-collision --steps 20 --warmup 5 --timed-steps 20",
     }  # fmt: skip
-    # two runs a side decide nothing of throughput
-    for name, code_ in (("Record base and head in turn", 0), ("Compare", 5), ("Show the comparison", 0)):
+    # two runs a side decide nothing of throughput, which is no failure
+    for name in ("Record base and head in turn", "Compare", "Show the comparison"):
         done = run(steps[name]["run"], tmp_path, path, **environment)
-        assert done.returncode == code_, done.stdout + done.stderr
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert ("::warning::gsb-compare could not decide" in done.stdout) == (name == "Compare")
+    (tmp_path / "posted").mkdir()
+    posting = tmp_path / "posted" / "gh"  # says what the command that GitHub's machines have would be given
+    posting.write_text('#!/bin/sh\necho "$@"\n', encoding="utf-8")
+    posting.chmod(0o755)
+    done = run(steps["Comment on the pull request"]["run"], tmp_path, f"{posting.parent}{os.pathsep}{path}", NUMBER="7")
+    assert done.stdout == "pr comment 7 --edit-last --create-if-none --body-file summary.md\n"
     assert [len(list((tmp_path / "runs" / side).glob("*.mcap"))) for side in ("base", "head")] == [2, 2]
     assert (tmp_path / "shown.md").read_text(encoding="utf-8").startswith("NOT DECIDED")
     assert ET.parse(tmp_path / "report.xml").getroot().get("failures") == "0"
     assert steps["Show the comparison"]["if"] == steps["Keep recordings and reports"]["if"] == "always()"
     kept = [name.rstrip("/") for name in job["steps"][-1]["with"]["path"].split()]
-    assert kept == ["runs", "report.xml", "result.json"]
+    assert kept == ["runs", "summary.md", "report.xml", "result.json"]
     assert all((tmp_path / name).exists() for name in kept)
+    # what failed, or could not be compared at all, stays a failure
+    for file in (tmp_path / "runs" / "head").iterdir():
+        file.unlink()
+    other = f"gsb-record --sim mujoco --n-env 3 --runs 1 {environment['RECORD']} --out runs/head"
+    assert run(other, tmp_path, path).returncode == 0
+    assert run(steps["Compare"]["run"], tmp_path, path, **environment).returncode == 5
 
 
 @pytest.mark.slow

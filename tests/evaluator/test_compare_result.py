@@ -228,6 +228,8 @@ def test_what_decides_is_said() -> None:
         (finding(Change.SMALL, Axis.MEMORY, unit="B"), "differs, below 5 %"),
         (finding(Change.WITHIN, Axis.MEMORY, unit="B", base=1e5, head=1.02e5, ci95=(0.5, 1.03)), "~ within 1 MB"),
         (finding(Change.WITHIN, Axis.MEMORY, unit="B", base=1e5, head=1.04e5, ci95=(1.0, 1.045)), "~ within 5 %"),
+        (finding(Change.SMALL, Axis.BUILD, unit="s", base=2e-6, head=3e-6), "differs, below 1 ms"),
+        (finding(Change.SMALL, Axis.BUILD, unit="s", base=10.0, head=10.2), "differs, below 5 %"),
         (finding(Change.WITHIN, Axis.PHYSICS, unit="cm"), "~ within 0.01 cm"),
         (finding(Change.NEAR, Axis.PHYSICS, base=10.0, head=12.0), "differs, perhaps below 5 %"),
     ],

@@ -394,13 +394,17 @@ def test_sides_of_different_size_have_no_mirror() -> None:
         ("host_memory_peak_increment", MB, 2 * MB, True),
         ("host_memory_peak_increment", 1000 * MB, 1040 * MB, False),
         ("host_memory_peak_increment", 1000 * MB, 1060 * MB, True),
+        ("compile_time", 2e-6, 1.001e-3, False),
+        ("compile_time", 2e-6, 1.003e-3, True),
+        ("build_time", 1.0, 1.04, False),
+        ("build_time", 1.0, 1.06, True),
         ("w1_run_to_run", 0.001, 0.0109, False),
         ("w1_run_to_run", 0.001, 0.0111, True),
         ("w1_run_to_run", 1.0, 1.04, False),
     ],
 )
 def test_what_matters(name: str, one: float, other: float, counts: bool) -> None:
-    """Count a change above the threshold, of bytes by 1 MB and of lengths by 0.01 cm at least, up and down alike."""
+    """Count a change above the threshold; at least 1 MB, 1 ms or 0.01 cm; up and down alike."""
     assert matters(METRICS[name], one, other, Settings()) is counts
     assert matters(METRICS[name], other, one, Settings()) is counts
 

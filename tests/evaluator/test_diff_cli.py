@@ -18,7 +18,7 @@ from gpusimbench.evaluator.diff.result import Change
 from gpusimbench.evaluator.diff.words import amount, changes, ranges, sparkline
 from gpusimbench.evaluator.render import console
 from gpusimbench.evaluator.render.numbers import length
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from tests.synthetic import cubes_field, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]

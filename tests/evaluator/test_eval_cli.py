@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from gpusimbench.schemas.errors import FailedCrc
 from tests.conftest import Command, call
 from tests.synthetic import grid, write_recording

@@ -22,7 +22,7 @@ from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.imported import Drop
 from gpusimbench.schemas.model_files import pack
-from tests.conftest import call, wait_for
+from tests.conftest import call, has_ended, wait_for
 
 pytest.importorskip("mujoco")
 
@@ -152,5 +152,5 @@ def test_a_run_ends_with_a_killed_command(tmp_path: Path) -> None:
             wait_for(lambda: found.extend(psutil.Process(running.pid).children(recursive=True)) or len(set(found)) > 1)
         finally:
             running.kill()
-    wait_for(lambda: not any(process.is_running() for process in found))
+    wait_for(lambda: all(map(has_ended, found)))
     assert not list(tmp_path.glob("imports/*.mcap")), "nothing looks complete"

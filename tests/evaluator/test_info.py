@@ -18,7 +18,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.info import info_document
 from gpusimbench.recorder.log import RecordingWriter
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.fields import array_field, body_field
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION, OverflowBit
@@ -90,6 +90,14 @@ def test_numbers_are_the_recordings_own(small: Path) -> None:
 
 
 _BOTH = ("PHASE_BEGIN", "PHASE_END")
+
+
+@pytest.mark.parametrize(("name", "first"), [("T132945Z", 30), ("T132545Z", 0)])
+def test_rate_of_captured_steps_says_from_which_step(name: str, first: int) -> None:
+    """Count the steps of a run that continues another one from where it continued."""
+    (path,) = (ROOT / "recordings" / "vary-h100").glob(f"mjx-run-to-run-cube-toss-n16-*{name}.mcap")
+    captured = inspect(examine(path)).captured
+    assert (captured.first_step, captured.steps) == (first, 60 - first)
 
 
 def test_json(gsb_info: Command, small_set: list[Path], tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.details import Details
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.statistics.permutation import Floor
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from tests.conftest import call, recorded, run_python
 from tests.json_keys import NAMES, Keys, broken, check, keys_of, write
 from tests.test_docs import blocks, commands, shell
@@ -63,7 +63,8 @@ ELSEWHERE = {"Sweeps": ("A group",), "Published table": ("A group", "Comparison"
 """Sections that refer to another section for some of their keys."""
 
 OTHERS = {
-    "A group": {"gsb-record": "a command"},
+    "A group": {"gsb-record": "a command", "misplaced": "recordings that count misplaced contacts"},
+    "Validity": dict.fromkeys(("misplaced_contacts", "of"), "recordings that count misplaced contacts"),
     "A metric": {"certified": "W1 of sets of more than 5000 points", "sampled": "pairs of more runs than are shipped"},
     "Further numbers": {
         "ci95": "a key of a metric", "rounding": "no runs so nearly equal",

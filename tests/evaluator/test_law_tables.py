@@ -66,14 +66,12 @@ def test_what_nothing_predicts_has_no_verdict(tmp_path: Path) -> None:
             "--option", "solref=0.02 0.2", "--out", tmp_path / laws.name_of("ball-drop", "mujoco", _BOUNCY, dt), code=0,
         )  # fmt: skip
     coarse, fine = laws.rows(tmp_path, "ball-drop")
-    assert set(coarse.laws) == {
-        f"{ball}_{what}" for ball in ("low", "middle", "high") for what in ("restitution", "gain")
-    }
+    assert set(coarse.laws) == {"low_restitution", "low_gain"}
     predicted, one, other = (
         [cell.strip() for cell in line.split("|")[3:-1]] for line in laws.table([coarse, fine]).splitlines()[2:]
     )
-    assert predicted == ["-", "0"] * 3
-    assert [cell.startswith("**") for cell in one] == [False, True] * 3  # the energy that each ball gains
+    assert predicted == ["-", "0"]
+    assert [cell.startswith("**") for cell in one] == [False, True]  # the energy that the ball gains
     low = fine.laws["low_restitution"].measured
     assert other[0] == f"{low:.4g}"
 

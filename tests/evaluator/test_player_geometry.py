@@ -16,8 +16,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.figures.palette import GROUPS_LIGHT
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.fields import joint_field
-from gpusimbench.schemas.view.geometry import GEOMETRY
-from gpusimbench.schemas.view.shapes import Mesh, Shape
+from gpusimbench.schemas.view.geometry import GEOMETRY, Mesh, Shape
 from tests.browser import Browser, needs_chromium
 from tests.conftest import call
 from tests.evaluator.test_player_page import PAINTED, pixels, text, written

@@ -41,8 +41,8 @@ from gpusimbench.schemas.fields import body_fields, joint_field
 from gpusimbench.schemas.initial import Initial
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.messages import message_class
-from gpusimbench.schemas.mirror import Mirror
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
+from gpusimbench.schemas.symmetry import Mirror
 from gpusimbench.schemas.treatment import Intervention
 from tests.conftest import Command, call, made_once
 from tests.synthetic import Shown, changing, grid, write_recording

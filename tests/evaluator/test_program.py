@@ -285,6 +285,26 @@ def test_sets_of_runs_are_compared_by_their_arrays(tmp_path: Path) -> None:
     assert finding["missing"] == "runs of base differ from each other: gradient differs from update 2 on"
 
 
+@pytest.mark.parametrize(("step", "env", "begins"), [(3, 1, True), (4, 1, False), (4, 0, True), (0, 0, False)])
+def test_a_difference_at_the_begin_of_an_episode(tmp_path: Path, step: int, env: int, begins: bool) -> None:
+    """Say where the reset of an environment made the state that differs first, of episodes of 3 and of 4 steps."""
+    fields = (array_field("observation", "float64"), array_field("episode_step", "float64"))
+    for name, more in (("a", 0.0), ("b", 1.0)):
+        with RecordingWriter(
+            tmp_path / f"{name}.mcap", simulator="mine", version="1", scene="toy", n_env=2, dt=0.5, steps=6,
+            fields=fields,
+        ) as log:  # fmt: skip
+            for number in range(7):
+                seen = np.array([number, number], dtype=np.float64)
+                seen[env] += more * (number >= step)
+                log.append(seen, np.array([number % 4, number % 3], dtype=np.float64))
+    found = compare(open_recording(tmp_path / "a.mcap"), open_recording(tmp_path / "b.mcap"))
+    assert found.first is not None and (found.first.step_a, found.first.env_a) == (step, env)
+    assert found.first.begins_episode == begins
+    said = f"first in env {env}, where an episode begins: env/observation"
+    assert (said in verdict_of(found).text) == begins
+
+
 @pytest.mark.parametrize(
     ("what", "step", "said"),
     [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gpusimbench.evaluator.render.numbers import distance_bound, length, mean_sd, scaled
+from gpusimbench.evaluator.render.numbers import distance_bound, length, mean_sd, scaled, seconds
 from gpusimbench.evaluator.results.group_metrics import W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.schemas.text import bound, percent
@@ -53,3 +53,13 @@ def test_an_amount_that_rounds_up_to_the_next_unit() -> None:
     assert [scaled(value, "B") for value in (0, 12, 2.5e12)] == ["0 B", "12 B", "2,500 GB"]
     assert [scaled(value, "rad") for value in (2e-6, 1e-12)] == ["2 µrad", "1e-12 rad"]
     assert lengths == ["1 m", "1 mm", "999 µm", "1 µm"]
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [(120.4, "120"), (99.7, "100"), (1.234, "1.2"), (0.0042, "0.004"), (-0.37, "-0.37"), (-0.0042, "-0.004"),
+     (2e-06, "< 0.001"), (-2e-06, "> -0.001"), (5e-18, "0"), (-5e-18, "0"), (0.0, "0")],
+)  # fmt: skip
+def test_seconds(value: float, said: str) -> None:
+    """Round neither a small time to zero, nor the rounding of a computation to a small time."""
+    assert seconds(value) == said

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.recorder.programs.folder import VARIABLE, placed
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from tests.conftest import call, wait_for
+from tests.conftest import call, has_ended, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 REINFORCE = ROOT / "examples" / "reinforce" / "reinforce.py"
@@ -131,15 +132,23 @@ def test_runs_of_several_recordings(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.slow
 def test_a_program_that_fails(tmp_path: Path) -> None:
-    """Say how it ended and what it printed last; compare what it recorded, and end with 1."""
+    """Say first that runs failed, then how and what they printed last; compare what they recorded, and end with 1."""
     words = program(tmp_path, "record('a.mcap', 1); sys.exit('no luck')")
     said, found = gsb_run(tmp_path, words, code=ExitCode.FAILURE)
     assert found["verdict"] == "bit-identical"
+    assert said.startswith("2 of 2 runs failed; what the runs recorded in common is bit-identical: a.mcap.")
     reason = "ended with exit code 1; the last that it printed: no luck"
     assert [(run["status"], run["reason"]) for run in found["runs"]] == [("failed", reason)] * 2
     assert reason in said
+
+
+def test_a_run_that_goes_on_is_announced(tmp_path: Path) -> None:
+    """Name the file that a run prints into before the run ends."""
+    done = call("gsb-run", "--", *program(tmp_path, "record('a.mcap', 1)"), cwd=tmp_path, code=0)
+    begun, ended, *_ = done.stderr.splitlines()
+    assert begun == "program-runs/run-0: begun; what the program prints goes to program-runs/run-0/output.txt"
+    assert ended.startswith("program-runs/run-0: ended after")
 
 
 @pytest.mark.parametrize(
@@ -175,9 +184,16 @@ with RecordingWriter(
     assert "not compared: states of b after its step 1, up to 2" in said and found["all_compared"] is False
 
 
-def test_a_program_that_records_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("print(1)", ExitCode.NOTHING_COMPARABLE),
+        ("record(os.path.abspath('a.mcap'), 1)", ExitCode.FAILURE),  # the second run finds the first one's file
+    ],
+)
+def test_a_program_that_records_nothing(tmp_path: Path, text: str, code: ExitCode) -> None:
     """Say what a program has to call, so that there is something to compare."""
-    said, _ = gsb_run(tmp_path, program(tmp_path, "print(1)"), code=ExitCode.NOTHING_COMPARABLE)
+    said, _ = gsb_run(tmp_path, program(tmp_path, text), code=code)
     assert "The program has to record: gpusimbench.wrap(envs, 'a.mcap'), or RecordingWriter" in " ".join(said.split())
 
 
@@ -199,8 +215,9 @@ with RecordingWriter(
     assert [run["reason"] for run in found["runs"]] == ["did not end within 6 s"] * 2
     recording = open_recording(tmp_path / "program-runs/run-1/a.mcap")
     assert (recording.status, recording.reason.partition(":")[0]) == ("failed", "KeyboardInterrupt")
-    child = int((tmp_path / "child").read_text())
-    wait_for(lambda: not psutil.pid_exists(child) or psutil.Process(child).status() == psutil.STATUS_ZOMBIE)
+    with suppress(psutil.NoSuchProcess):
+        child = psutil.Process(int((tmp_path / "child").read_text()))
+        wait_for(lambda: has_ended(child))
 
 
 def test_processes_in_sessions_of_their_own_end_with_the_run(tmp_path: Path) -> None:
@@ -230,7 +247,7 @@ def test_a_program_ends_with_a_killed_command(killed: str, tmp_path: Path) -> No
             wait_for(lambda: len(running_as(asleep)) == 1 + bool(last))
             (between,) = psutil.Process(running.pid).children()
             (running if killed == "gsb-run" else between).kill()
-            wait_for(lambda: not running_as(asleep) and not between.is_running())
+            wait_for(lambda: not running_as(asleep) and has_ended(between))
         finally:
             running.kill()
             for process in running_as(asleep):

@@ -6,7 +6,7 @@ import json
 from collections import defaultdict
 from collections.abc import Sequence
 from functools import cache
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from tests.conftest import Command, recorded
+from tests.conftest import Command, call, recorded
+from tests.evaluator.test_history import write_point
 
 Array = NDArray[np.float64]
 _RECORDINGS = Path(__file__).resolve().parents[2] / "recordings"
@@ -56,6 +57,19 @@ class _File:
 
     def of(self, group: str, field: str) -> Array:
         return self.raw[group, field].astype(float)
+
+    def windows(self) -> list[tuple[int, int]]:
+        """First and last clock of each time that the timed steps were made [ns]."""
+        clock = self.messages["/timing/timed"]
+        begins = [i for i, m in enumerate(clock) if m.first_step == clock[0].first_step]  # each begins a window
+        ends = [i - 1 for i in (*begins[1:], 0)]
+        return [(clock[a].start_ns[0], clock[b].end_ns[-1]) for a, b in zip(begins, ends, strict=True)]
+
+    @property
+    def step_s(self) -> float:
+        """Mean duration of a timed step [s]."""
+        windows = self.windows()
+        return sum(end - begin for begin, end in windows) * 1e-9 / len(windows) / self.asked["timed_steps"]
 
     def hashes(self) -> NDArray[np.uint64]:
         """Of the state of each environment after each step, [step, env]."""
@@ -93,11 +107,7 @@ def test_time_and_memory(gsb_eval: Command) -> None:
     metrics = _evaluated(gsb_eval, pattern)["groups"][0]["metrics"]
     fps, overhead, peaks = [], [], defaultdict(list)
     for run in _files(pattern):
-        clock = run.messages["/timing/timed"]
-        begins = [i for i, m in enumerate(clock) if m.first_step == clock[0].first_step]  # each begins a window
-        ends = [i - 1 for i in (*begins[1:], 0)]
-        windows = [(clock[a].start_ns[0], clock[b].end_ns[-1]) for a, b in zip(begins, ends, strict=True)]
-        step = sum(end - begin for begin, end in windows) * 1e-9 / len(windows) / run.asked["timed_steps"]
+        windows, step = run.windows(), run.step_s
         fps.append(run.n_env / step)
         (capture,) = run.messages["/timing/capture"]
         overhead.append((capture.end_ns[-1] - capture.start_ns[0]) * 1e-9 / run.steps[-1] / step)
@@ -243,6 +253,10 @@ def test_memory_model_and_price(gsb_eval: Command) -> None:
     fitted = np.polyfit(n, m, 1, w=1 / m)  # least squares of relative errors
     model = sweep["memory_models"]["memory_peak_increment"]
     assert [model["per_env_bytes"], model["fixed_bytes"]] == pytest.approx(list(fitted), rel=1e-6)
+    rows, off = np.stack([n, np.ones_like(n)], axis=1) / m[:, np.newaxis], np.polyval(fitted, n) / m - 1
+    errors = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)) * (off**2).sum() / (len(n) - 2))
+    assert [model["per_env_se_bytes"], model["fixed_se_bytes"]] == pytest.approx(list(errors), rel=1e-6)
+    assert model["relative_residuals"] == pytest.approx(list(off), rel=1e-6)
     files = _files("sweeps-h100/physx-free-fall-*.mcap")
     assert sweep["n_env_max"] == max(f.n_env for f in files if f.messages["/run/end"][0].status == 1)
     fps = {g["label"]: g["metrics"]["fps"]["value"] for g in document["groups"]}
@@ -362,3 +376,90 @@ def test_ball(gsb_eval: Command) -> None:
     least = np.sqrt(scale * 2 * s**2 / (1 - scale * k**2 / n)) / abs(effect.mean())
     (gravity,) = (x for x in law["sensitivities"] if x["parameter"] == "gravity")
     assert gravity["least"] == pytest.approx(least, rel=1e-9)
+
+
+def test_info() -> None:
+    """Sizes, rates, peaks of memory and readings of the hardware, of a run that continues another one."""
+    (path,) = _RECORDINGS.glob("vary-h100/warp-run-to-run-*T032239Z.mcap")
+    (told,), run = json.loads(call("gsb-info", path, "--json", "-", code=0).stdout)["files"], _File(path)
+    (clock,), (capture,) = run.messages["/timing/capture"], [told["captured"]]
+    seconds = (clock.end_ns[-1] - clock.start_ns[0]) * 1e-9
+    rate = run.n_env * (run.steps[-1] - run.steps[0]) / seconds
+    assert (capture["first_step"], capture["steps"]) == (run.steps[0], run.steps[-1] - run.steps[0])
+    assert (capture["seconds"], capture["env_steps_per_s"]) == pytest.approx((seconds, rate), rel=1e-12)
+    for source, memory in told["memory"].items():
+        samples = run.messages[f"/memory/{source}"]
+        assert (memory["readings"], memory["peak"]) == (len(samples), max(s.used_bytes for s in samples))
+    power = [s.power_mw for s in run.messages["/hardware/gpu0"]]
+    assert told["hardware"]["gpu0"]["values"]["power_mw"] == pytest.approx([min(power), np.mean(power), max(power)])
+    for array in told["arrays"]:
+        state = run.raw[tuple(array["name"].split("/"))]
+        assert (array["shape"], array["bytes"]) == (list(state.shape), state.nbytes)
+
+
+def _cuts(y: Array, level: float) -> dict[int, float]:
+    """Circular binary segmentation with every part of every stretch as a candidate: first points of levels, and p."""
+    found: dict[int, float] = {}
+    while True:
+        pairs = list(pairwise([0, *sorted(found), len(y)]))
+        total, f = sum(((y[a:b] - y[a:b].mean()) ** 2).sum() for a, b in pairs), len(y) - len(pairs) - 1
+        ranked = []
+        for a, b in pairs:
+            n = b - a
+            for i, j in combinations(range(1, n + 1), 2):
+                part, rest = y[a + i : a + j], np.r_[y[a : a + i], y[a + j : b]]
+                between = len(part) * len(rest) / n * (part.mean() - rest.mean()) ** 2
+                ways, cuts = ((n - 1) * (n - 2) / 2, [a + i, a + j]) if j < n else (n - 1, [a + i])
+                ranked.append((4 * ways * student.sf(np.sqrt(f * between / (total - between)), f), cuts))
+        p, cuts = min(ranked)
+        if p > level:
+            return found
+        found |= {cut: p for cut in cuts if cut not in found}
+
+
+def test_history(tmp_path: Path) -> None:
+    """Points, change points with p and interval, and the smallest change that one more point would show."""
+    for index in range(14):
+        write_point(tmp_path / "history", index, factor=1.1 if 5 <= index < 9 else 1.0)
+    said = call("gsb-compare", "--history", tmp_path / "history", "--json", "-", code=0).stdout
+    (told,) = json.loads(said)["configurations"]
+    (curve,) = (c for c in told["curves"] if c["changes"])
+    points = []
+    for index in range(14):
+        runs = [_File(path) for path in sorted((tmp_path / "history" / f"v{index}").iterdir())]
+        points.append([run.n_env / run.step_s for run in runs])
+    assert [s["value"] for s in curve["samples"]] == pytest.approx(list(np.mean(points, axis=1)), rel=1e-9)
+    y, tested = np.log(points).mean(axis=1), sum(not c["exact"] for c in told["curves"])
+    cuts = _cuts(y, 0.05 / tested)
+    assert [c["point"] for c in curve["changes"]] == sorted(cuts) == [5, 9]
+    ends = [0, *sorted(cuts), len(y)]
+    levels = [y[a:b] for a, b in pairwise(ends)]
+    for change, (one, other) in zip(curve["changes"], pairwise(levels), strict=True):
+        f, shift = len(one) + len(other) - 2, other.mean() - one.mean()
+        spread = sum(((x - x.mean()) ** 2).sum() for x in (one, other)) / f * (1 / len(one) + 1 / len(other))
+        half = student.ppf(0.975, f) * np.sqrt(spread)
+        assert change["p_value"] == pytest.approx(cuts[change["point"]], rel=1e-6)
+        found = [change["ratio"], *change["ci95"]]
+        assert found == pytest.approx(list(np.exp([shift, shift - half, shift + half])), rel=1e-9)
+    f, m = len(y) - len(levels), len(levels[-1])
+    scatter = np.sqrt(sum(((x - x.mean()) ** 2).sum() for x in levels) / f * (1 + 1 / m))
+    visible = np.exp(student.isf(0.05 / tested / (4 * m), f) * scatter)
+    assert curve["smallest_visible"] == pytest.approx(visible, rel=1e-9)
+
+
+def test_leaderboard(tmp_path: Path) -> None:
+    """Places by throughput, and which row is not shown to be slower than the row above."""
+    files = ("prices-h100/warp-*.mcap", "sweeps-h100/[gw]*-franka-n32768-*.mcap")
+    paths = {path.name: path for pattern in files for path in _RECORDINGS.glob(pattern)}
+    call("gsb-share", "leaderboard", *paths.values(), "--out", tmp_path / "board", code=0)
+    sections = json.loads((tmp_path / "board" / "leaderboard.json").read_text())["sections"]
+    for section in sections:
+        runs = [[_File(paths[r["name"]]) for r in row["recordings"]] for row in section["rows"]]
+        above, own = ([run.n_env / run.step_s for run in row] for row in runs)
+        assert [row["place"] for row in section["rows"]] == [1, 2]
+        found = [row["throughput"]["value"] for row in section["rows"]]
+        assert found == pytest.approx([np.mean(above), np.mean(own)], rel=1e-9)
+        variances, freedoms = np.transpose([_variance_of_log(x) for x in (above, own)])
+        half = student.ppf(0.975, variances.sum() ** 2 / (variances**2 / freedoms).sum()) * np.sqrt(variances.sum())
+        assert (section["rows"][1]["equals"] == 1) == (0 < np.log(found[0] / found[1]) < half)
+    assert [section["rows"][1]["equals"] for section in sections] == [None, 1]

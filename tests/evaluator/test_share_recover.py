@@ -160,6 +160,7 @@ def test_a_killed_run(tmp_path: Path) -> None:
         wait_for(lambda: any(p.stat().st_size > 3_000_000 for p in tmp_path.glob("*.partial")))
         for child in Process(process.pid).children(recursive=True):
             child.kill()
+        process.wait(300)  # for the end of its run, which may be within a write still
     finally:
         process.kill()
         process.wait()

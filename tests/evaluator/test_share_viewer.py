@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 from gpusimbench import open_recording
 from gpusimbench.evaluator.player.viewer import write_view
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, UsageError
+from gpusimbench.schemas.view.geometry import links_of
 from gpusimbench.schemas.view.kinematics import about, product, rotate
-from gpusimbench.schemas.view.shapes import links_of
 from tests.conftest import run_python
 from tests.evaluator.test_share_pack import share
 from tests.evaluator.viewing import placed, read

@@ -181,3 +181,15 @@ def test_captured_states_come_first(captured: bool, sweep: dict[int, GroupResult
     first = replace(first, histories=first.timed_histories) if captured else first
     compared, timed = hashed_by([first, *others])
     assert (len(compared), timed) == ((1, False) if captured else (3, True))
+
+
+def test_no_distance_of_zero_is_shown(tmp_path: Path) -> None:
+    """Answer "no" alone where bodies of two runs differ in their heights, and W1, which is in the plane, is zero."""
+    for run in range(2):
+        final = grid(2, "float32")
+        final[..., 2] += np.float32(0.01 * run)
+        write_recording(tmp_path, final, run=run)
+    (result,) = evaluate_files(sorted(tmp_path.glob("*.mcap"))).results
+    assert result.metrics["w1_run_to_run"].value == 0
+    cell = repeats([result])
+    assert (cell.text, cell.notes) == ("no", ("2 distinct of 2",))

@@ -13,12 +13,14 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.report import verdicts, words
 from gpusimbench.evaluator.report.document import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.results.details import CaptureOverhead
 from gpusimbench.evaluator.results.evaluate import Evaluation, evaluate_files
+from gpusimbench.evaluator.results.faults import faults, faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.results.validity import Misplaced
 from gpusimbench.evaluator.runs.validation import demands, verify
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.messages import enum_values, message_class
@@ -321,3 +323,51 @@ def test_the_command_prints_it(small_set: list[Path]) -> None:
     assert "time to" in shown
     assert "build" in shown
     assert "no run is INVALID" in shown
+
+
+def misplacing(folder: Path, run: int, *counts: int) -> Path:
+    """A complete run of two environments, of which the first has so many misplaced contacts at each captured step."""
+    found = np.stack([np.array(counts), np.zeros(len(counts), int)], axis=1)
+    shown = Shown(counts={"capture": {"misplaced_contacts": found}})
+    return write_recording(folder, grid(2), run=run, run_id=f"run {run}", whole=True, shown=shown)
+
+
+def test_misplaced_contacts_are_said_everywhere(tmp_path: Path) -> None:
+    """Call a group not valid whose complete runs have contacts outside of their bodies: in verdict, table, page, JSON,
+    faults, and by gsb-check with the step; and say nothing where there are none."""
+    paths = [misplacing(tmp_path, 0, 0, 0, 3, 0, 1), misplacing(tmp_path, 1, 0, 0, 0, 0, 0)]
+    evaluation = evaluate_files(paths)
+    (result,) = evaluation.results
+    assert len(result.group.complete) == 2
+    said = "4 misplaced contacts in 1 of 2 runs"
+    assert result.validity.misplaced == Misplaced(4, 1, 2)
+    assert (faults(result).misplaced, str(faults(result))) == (said, said)
+    assert faults_anywhere(result, evaluation.results) == (f"{said} ({result.group.key.scene})",)
+    assert "no: 1 of 2 runs: misplaced contacts" in " ".join(call("gsb-eval", *paths).stdout.split())
+    assert said in table(evaluation)
+    assert said in part_of(render_html(evaluation, published=False, command=""), "validity")
+    (group,) = to_json(evaluation)["groups"]
+    assert group["faults"]["misplaced"] == said
+    assert group["validity"]["misplaced_contacts"] == {"contacts": 4, "n_run": 1, "of": 2}
+    checked = " ".join(call("gsb-check", *paths, code=0).stdout.split())
+    assert "1 warning" in checked
+    assert "misplaced-contacts: 4 misplaced contacts in the capture phase, first at step 3" in checked
+
+    clean = evaluate_files(paths[1:])
+    assert clean.results[0].validity.misplaced == Misplaced(0, 0, 1)
+    assert not faults(clean.results[0])
+    assert "misplaced contacts" not in call("gsb-eval", paths[1]).stdout
+    assert "misplaced" not in to_json(clean)["groups"][0]["faults"]
+    assert "misplaced" not in call("gsb-check", paths[1], code=0).stdout
+
+
+def test_misplaced_contacts_that_are_not_counted(tmp_path: Path) -> None:
+    """Say nothing of runs that do not count them, in words or keys, and count them out of those that do."""
+    shown = Shown(counts={"capture": {"contacts": COUNTS}})
+    silent = write_recording(tmp_path, grid(2), run=1, whole=True, shown=shown)
+    (group,) = to_json(evaluate_files([silent]))["groups"]
+    assert "misplaced_contacts" not in group["validity"]
+    assert "misplaced" not in group["faults"]
+    both = only(misplacing(tmp_path, 0, 0, 1), silent)
+    assert both.validity.misplaced == Misplaced(1, 1, 1)
+    assert verdicts.valid([both]).notes == ("1 of 2 runs: misplaced contacts",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import random
 import resource
@@ -66,11 +67,14 @@ def _lines(function: Callable[[], object]) -> int:
         return count
 
     before = sys.gettrace()
+    gc.collect()
+    gc.disable()  # what other tests left has functions that are called when it is collected
     sys.settrace(count)
     try:
         function()
     finally:
         sys.settrace(before)
+        gc.enable()
     return counted
 
 

@@ -32,6 +32,7 @@ from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
+from tests.conftest import has_ended, wait_for
 from tests.forging import forge
 from tests.synthetic import Shown, grid, write_recording
 
@@ -90,16 +91,9 @@ def test_memory_of_the_whole_tree_counts(monkeypatch: pytest.MonkeyPatch, how: s
     )
     assert guard.peak > 200 << 20
     # a process that was killed is there until the system has its memory back
-    killed = [psutil.Process(p) for p in set(psutil.pids()) - before if "bytearray(300" in _command(p)]
-    assert not psutil.wait_procs(killed, timeout=300)[1]
-
-
-def _command(number: int) -> str:
-    try:
-        process = psutil.Process(number)
-        return "" if process.status() == psutil.STATUS_ZOMBIE else " ".join(process.cmdline())
-    except psutil.Error:
-        return ""
+    commands = [(p, " ".join(p.info["cmdline"] or ())) for p in psutil.process_iter(["cmdline"]) if p.pid not in before]
+    killed = [process for process, command in commands if "bytearray(300" in command]
+    wait_for(lambda: all(map(has_ended, killed)))
 
 
 def test_threads_count(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,9 +126,10 @@ def test_what_is_written_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
 
 def test_a_process_that_keeps_to_its_bounds_is_left_alone() -> None:
     """Do nothing to others."""
-    guard = _guarded("import time; time.sleep(0.5)")
-    assert guard.broken == ""
-    assert guard.peak > 1 << 20
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as child, Guard(child, Cage(0, 0), ()) as guard:
+        wait_for(lambda: guard.peak > 1 << 20)
+        child.communicate(timeout=300)
+    assert (guard.broken, child.returncode) == ("", 0)
 
 
 def _hostile(

@@ -18,9 +18,8 @@ from gpusimbench.recorder.run.start import drawn_states, images
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description
-from gpusimbench.recorder.simulators.calibration.chance import places, shares
 from gpusimbench.recorder.simulators.calibration.model import model_of
-from gpusimbench.recorder.simulators.calibration.options import REGIMES, CalibrationOptions
+from gpusimbench.recorder.simulators.calibration.options import REGIMES, CalibrationOptions, places, shares
 from gpusimbench.recorder.simulators.calibration.simulator import Calibration
 from gpusimbench.recorder.simulators.flight import NEVER, FailureKind, Watch, step_and_kind
 from gpusimbench.schemas.errors import UsageError

@@ -21,9 +21,8 @@ from gpusimbench import RecordingWriter
 from gpusimbench.recorder.capture.ranges import env_block
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import StateWriter
-from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
 from gpusimbench.recorder.capture.workers import Workers
-from gpusimbench.recorder.capture.writing import Block, Writing
+from gpusimbench.recorder.capture.writing import Block, CaptureClock, Writing, step_and_capture
 from gpusimbench.recorder.failure import NoHostMemory, cause_of
 from gpusimbench.recorder.run.capture_phase import StatesInMemory
 from gpusimbench.recorder.scenes.registry import make_scene

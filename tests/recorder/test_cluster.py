@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.cluster import gathering
+from gpusimbench.recorder.cluster import agent, gathering
 from gpusimbench.recorder.cluster.batch import TRIES, Batch, Ended, Said
 from gpusimbench.recorder.cluster.connection import Node
 from gpusimbench.recorder.cluster.gathering import Spoiled, Stopped, gather
@@ -309,6 +309,29 @@ def test_a_node_that_nobody_listens_to_any_more(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+_REPEATS = "import sys; print(sys.stdin.read(), end='')"
+
+
+def test_an_interruption_as_a_process_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Say what is wanted before all else, also where another call comes between the start and the first line."""
+    node = agent.Agent()
+    start, others = threading.Thread.start, []
+
+    def late(thread: threading.Thread) -> None:  # of the thread that reads what the process says
+        start(thread)
+        others.append(threading.Thread(target=node.say, args=("key", "1")))
+        start(others[0])
+        others[0].join(0.2)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "start", late)
+        node.begin("key", ["-c", _REPEATS], "wanted")
+    others[0].join(300)
+    node.end()
+    wait_for(lambda: node.lines(0)[1])
+    assert node.lines(0)[0] == ["wanted", "1"]
+
+
 # A cluster
 
 
@@ -441,6 +464,7 @@ def test_runs_that_fail_are_recorded_as_without_a_cluster(nodes: Nodes, tmp_path
 def _begin(nodes: Nodes, out: Path, *arguments: str, mode: str = "slow") -> subprocess.Popen[str]:
     # returns once all seats have a run
     folder = Path(nodes.environment["TMPDIR"])
+    before = _written(folder)  # of a test before this one; nodes remove it in their own time
     process = subprocess.Popen(
         [*command("gsb-record"), "--ray", nodes.address, "--sim", "faulty", "--option", f"mode={mode}",
          "--phases", "capture",
@@ -448,13 +472,18 @@ def _begin(nodes: Nodes, out: Path, *arguments: str, mode: str = "slow") -> subp
         env={**os.environ, **nodes.environment}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
     )  # fmt: skip
-    wait_for(lambda: process.poll() is not None or len(_written(folder)) >= 2)
+    wait_for(lambda: process.poll() is not None or len(_written(folder) - before) >= 2)
     assert process.poll() is None
     return process
 
 
-def _written(folder: Path) -> list[Path]:
-    return [path for path in folder.glob("gsb-work-*/*.partial") if path.stat().st_size]
+def _written(folder: Path) -> set[Path]:
+    found = set()
+    for path in folder.glob("gsb-work-*/*.partial"):
+        with suppress(FileNotFoundError):
+            if path.stat().st_size:
+                found.add(path)
+    return found
 
 
 @pytest.mark.slow
@@ -601,9 +630,14 @@ def test_a_node_that_dies(nodes: Nodes, tmp_path: Path) -> None:
     """Make the run of a dead node again elsewhere: every run is there, once, and standard output names files alone."""
     process = _begin(nodes, tmp_path, "--runs", "2", "--steps", "150", mode="held")
     nodes.kill_one()
+    # the run of the dead node may go on for a second: it must not end before the command knows
+    late = threading.Timer(300, process.kill)
+    late.start()
+    assert process.stderr is not None
+    assert any("is begun again: node" in line for line in process.stderr)
+    late.cancel()
     (folder_of(nodes.environment) / "let-go").touch()
     out, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
-    assert "is begun again: node" in err
     assert sorted(out.split()) == sorted(str(path) for path in tmp_path.iterdir())
     assert [index for _, index, _ in _recorded(tmp_path)] == [0, 1]

@@ -25,7 +25,7 @@ from gpusimbench.recorder.scenes.registry import SCENES, make_scene
 from gpusimbench.recorder.simulators.flight import HostFlight
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC, MujocoOptions
 from gpusimbench.recorder.simulators.registry import Entry
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from tests.conftest import distribution, finished
 from tests.recorder import broken_adapters as broken
 

@@ -8,7 +8,7 @@ import pytest
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
-from gpusimbench.recorder.simulators.physx.trees import plan
+from gpusimbench.recorder.simulators.physx.plan import plan
 
 ARM = '<body name="r"><joint name="j" axis="0 1 0"{joint}/><geom size=".1" pos=".3 0 0"/></body>'
 MOTORS = """<actuator><motor joint="j" gear="3" group="2"/>

@@ -28,7 +28,7 @@ def run(code: str, **streams: object) -> subprocess.CompletedProcess[bytes]:
     """Run Python code that has an EngineLog at hand in a process of its own."""
     head = "import ctypes, os, sys\nfrom gpusimbench.recorder.simulators.engine_log import EngineLog\n"
     return subprocess.run(  # type: ignore[call-overload,no-any-return]
-        [sys.executable, "-c", head + textwrap.dedent(code)], **{"timeout": 60, "check": True, **streams}
+        [sys.executable, "-c", head + textwrap.dedent(code)], **{"timeout": 300, "check": True, **streams}
     )
 
 

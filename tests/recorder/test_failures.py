@@ -115,7 +115,7 @@ def test_a_run_ends_with_the_command_that_started_it(plugin: dict[str, str], tmp
     wait_for(lambda: any(b"gsb.v1.StateBlock" in p.read_bytes() for p in tmp_path.glob("*.partial")))
     process.kill()
     process.wait()
-    wait_for(lambda: bool(list(tmp_path.glob("*.mcap"))))
+    wait_for(lambda: [path.suffix for path in tmp_path.iterdir()] == [".mcap"])  # it has both names for a moment
     (file,) = tmp_path.iterdir()
     assert open_recording(file).status == "failed"
 

@@ -19,8 +19,7 @@ from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import body_fields
 from gpusimbench.schemas.initial import MOST_SPREAD, Initial
-from gpusimbench.schemas.mirror import Mirror, mirrored
-from gpusimbench.schemas.relabel import Relabelling
+from gpusimbench.schemas.symmetry import Mirror, Relabelling, mirrored
 from gpusimbench.schemas.treatment import KINDS, Intervention
 from tests.conftest import Command, call
 

@@ -394,8 +394,8 @@ from gpusimbench.schemas.fields import body_field
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 field = body_field("cubes", "position", "float32", tuple(map(str, range(20))))
-threading.Timer(float(sys.argv[2]), lambda: os.kill(os.getpid(), signal.SIGINT)).start()
 try:
+    threading.Timer(float(sys.argv[2]), lambda: os.kill(os.getpid(), signal.SIGINT)).start()
     with RecordingWriter(sys.argv[1], simulator="mine", version="1", scene="toss", n_env=500, dt=0.01, steps=100000,
                          fields=(field,)) as log:
         while True:

@@ -17,7 +17,6 @@ pytest.importorskip("mani_skill")
 
 from gpusimbench.recorder.conformance import CHECKS, Subject
 from gpusimbench.recorder.conformance import subject as conformance_subject
-from gpusimbench.recorder.conformance.checks import start
 from gpusimbench.recorder.conformance.scene import MARBLE, STONE, conformance_scene
 from gpusimbench.recorder.conformance.verdict import NotApplicable
 from gpusimbench.recorder.scenes.base import Scene
@@ -158,7 +157,7 @@ def alone() -> Iterator[Subject]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(conformance_subject, "N_ENV", 1)
-        patch.setattr(start, "_ENVS", 1)
+        patch.setattr("gpusimbench.recorder.conformance.checks.state._ENVS", 1)
         yield Alone.named("maniskill")
 
 

@@ -190,11 +190,16 @@ class TestJax:
         on_device, data = model.put(device), model.first_data(device, *start)
         data = data.replace(qpos=data.qpos.at[2].add(-1e-4).at[9].add(-2e-4))
         data = jax.vmap(lambda _: data)(np.arange(1))
-        counted = jax.jit(lambda d: model.count(jax.vmap(mjx.fwd_position, (None, 0))(on_device, d)))(data)
+        data = jax.jit(jax.vmap(mjx.fwd_position, (None, 0)))(on_device, data)
+        count = jax.jit(model.count)
+        counted = count(data)
         assert counted["overflow"].tolist() == [bit]
         assert counted["contacts"].tolist() == [contacts]
         assert counted["constraint_rows"].tolist() == [4 * contacts]
         assert counted["candidate_pairs"].tolist() == [3]
+        assert counted["misplaced_contacts"].tolist() == [0]
+        away = data.tree_replace({"_impl.contact.pos": data._impl.contact.pos + 1.0})
+        assert count(away)["misplaced_contacts"].tolist() == [contacts]
 
     def test_limits_that_mjx_reads_otherwise_are_refused(self) -> None:
         """Refuse a model whose limits stand behind an array of numbers, where MJX takes the array's for them."""
@@ -206,6 +211,19 @@ class TestJax:
         model = mujoco.MjModel.from_xml_string(f"<mujoco><custom>{numbers}</custom></mujoco>")
         with pytest.raises(Refused, match="max_geom_pairs = 0 from the model, which says 7"):
             check_read(model, Caps(7, 7, ()))
+
+    def test_shapes_without_collisions_are_refused(self) -> None:
+        """Name the two kinds of shapes of a model between which MJX computes no contacts."""
+        import mujoco
+
+        from gpusimbench.recorder.simulators.mjx.caps import pair_groups
+        from gpusimbench.recorder.simulators.mjx.physics import refusals
+
+        body = '<body><freejoint/><geom type="{}" size=".1 .1 .1"/></body>'
+        bodies = "".join(body.format(kind) for kind in ("box", "cylinder"))
+        model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+        with pytest.raises(Refused, match="no collisions between cylinder and box"), refusals("jax"):
+            pair_groups(model)
 
     def test_a_dropped_pair_is_one_of_the_candidates(self) -> None:
         """Count overlapping bounding spheres as MJX orders pairs by them."""

@@ -49,7 +49,8 @@ def test_steps_without_the_batch_have_the_same_bits(scene: str) -> None:
         simulator.step(20)
         simulator.reset(np.array([1, 4]))
         simulator.step(20)
-        arrays = (*captured, *evidence.counts.values(), *simulator.state())
+        counts = (evidence.counts[name] for name in ("contacts", "constraint_rows"))
+        arrays = (*captured, *counts, *simulator.state())
         found.append([array.tobytes() for array in arrays])
         steppings.append(description.options.get("stepping", "batch"))
     assert found[1] == found[0]

@@ -454,7 +454,7 @@ def test_other_solvers(solver: str, tmp_path: Path) -> None:
 
 def test_what_a_solver_does_not_read(tmp_path: Path) -> None:
     """Name damping, armature and dry friction of joints, and equalities, where a solver has none of them."""
-    from gpusimbench.recorder.simulators.newton.import_deviations import deviations_of_import
+    from gpusimbench.recorder.simulators.newton.deviations import deviations_of_import
 
     held = '<equality><joint name="held" joint1="hinge"/><weld body1="a"/></equality>'
     scene = _scene(_written(tmp_path, FALLING, held))

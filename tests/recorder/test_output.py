@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import fcntl
+import io
 import os
 import pty
 import re
 import struct
 import subprocess
+import sys
 import termios
+from contextlib import redirect_stdout
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.commands.output import OfMainThread
 from tests.conftest import SMALL, Command, command, distribution, finished
 
 
@@ -150,3 +155,15 @@ def test_a_name_is_reserved_once(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == [second.name]
     assert reserve(tmp_path, configuration, "2026-01-02T03:04:05Z") == first
     assert reserve(tmp_path, configuration, "2026-01-02T03:04:05Z").name.endswith("-3.mcap")
+
+
+def test_other_threads_print_nothing() -> None:
+    """Keep the words of a library's threads out of a command's output, and tell the threads that they were written."""
+    kept, written = io.StringIO(), list[int]()
+    with redirect_stdout(OfMainThread(kept)):
+        print("ours")
+        thread = Thread(target=lambda: written.append(sys.stdout.write("theirs")))
+        thread.start()
+        thread.join()
+        print("ours again")
+    assert (kept.getvalue(), written) == ("ours\nours again\n", [len("theirs")])

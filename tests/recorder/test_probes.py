@@ -19,8 +19,8 @@ from gpusimbench import open_recording
 from gpusimbench.recorder.capture.samples import Sampling
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.probes.gpu import Gpus, Processes
+from gpusimbench.recorder.probes.host import describe_software, package_list
 from gpusimbench.recorder.probes.sampling import MemorySampler
-from gpusimbench.recorder.probes.software import describe_software, package_list
 from gpusimbench.recorder.run.engine import apply_environment
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -292,7 +292,7 @@ def test_metadata_in_another_encoding(monkeypatch: pytest.MonkeyPatch, tmp_path:
     (tmp_path / "foreign-1.0.dist-info" / "METADATA").write_bytes(b"Name: foreign\nVersion: 1.0\nAuthor: Ren\xe9\n")
     monkeypatch.setattr("sys.path", [str(tmp_path), *sys.path])
     assert "?==None" in package_list().splitlines()
-    monkeypatch.setattr("gpusimbench.recorder.probes.software.NUMERIC_PACKAGES", ("foreign", "numpy"))
+    monkeypatch.setattr("gpusimbench.recorder.probes.host.NUMERIC_PACKAGES", ("foreign", "numpy"))
     assert list(describe_software()["packages"]) == ["numpy"]
 
 

@@ -74,6 +74,7 @@ def _with(row: int, text: str) -> str:
         ("", "the trials file is empty"),
         (GOOD[0], "a header and no rows"),
         (_with(1, "trial,cube,x"), "row 1: column y is missing"),
+        (_with(1, "time,q1,q2"), "positions or joint angles over time: see docs/how-to/real-trials.md"),
         (_with(1, "trial,cube,x,y,colour"), "row 1: column 'colour' is not known"),
         (_with(1, "trial,cube,x,x,y"), "row 1: column x appears twice"),
         (_with(5, "t0,3,1.0"), "row 5 has 3 cells, the header has 4"),

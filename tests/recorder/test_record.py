@@ -23,7 +23,7 @@ from gpusimbench.recorder.run.given_actions import given
 from gpusimbench.recorder.run.timed_phase import LEAST_STEPS, _timed_again
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from tests.conftest import SMALL, Command, distribution

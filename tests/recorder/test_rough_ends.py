@@ -99,6 +99,8 @@ def _cut(process: subprocess.Popen[str], out: Path, how: signal.Signals, *, run_
             before[file] = file.read_bytes()
     seen: Counter[str] = Counter()
     if how == signal.SIGKILL:
+        if not run_alone and process.poll() is None:
+            process.send_signal(signal.SIGSTOP)  # so that it starts none while they are looked for
         for each in (signal.SIGSTOP, signal.SIGKILL):  # at once for all: a run sees the end of its command
             for pid in descendants(process.pid)[run_alone:]:
                 with suppress(ProcessLookupError):

@@ -19,11 +19,11 @@ pytest.importorskip("sapien")
 
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Inertial, Material, Plane, Scene, Sphere, solid_inertia
+from gpusimbench.recorder.scenes.emit.usd import principal_axes
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.evidence import AWAKE_BODIES, CONTACTS
 from gpusimbench.recorder.simulators.sapien import settings
-from gpusimbench.recorder.simulators.sapien.arm import principal_axes
 from gpusimbench.recorder.simulators.sapien.bodies import make_component
 from gpusimbench.recorder.simulators.sapien.complaints import OVERFLOW_BITS, Complaints, bits_of
 from gpusimbench.recorder.simulators.sapien.gpu import square_grid

@@ -24,7 +24,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.sets.finished import Finished, locked, matching, read_folder
 from gpusimbench.recorder.sets.sweep import CERTAIN, Outcome, Sweep, SweepRun, parse_points
-from gpusimbench.schemas.commands.json_version import SCHEMA_VERSION
+from gpusimbench.schemas.commands import SCHEMA_VERSION
 from gpusimbench.schemas.configuration import MAX_ENVS, RunConfiguration
 from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import Command, command, distribution, wait_for

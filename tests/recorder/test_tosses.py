@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.scenes.cube_toss import EDGE, RATE
-from gpusimbench.recorder.trials.tosses import PUBLISHED, SYNTHETIC, read_tosses, rotated
+from gpusimbench.recorder.trials.tosses import PUBLISHED, SYNTHETIC, read_tosses
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.initial import GIVEN, Given
 from gpusimbench.schemas.tosses import NOTICE, TOSSES, TossSet
+from gpusimbench.schemas.view.kinematics import rotate
 from tests.conftest import Command
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "cube_toss"
@@ -98,7 +99,7 @@ def test_rotated(vector: tuple[float, ...], quaternion: tuple[float, ...]) -> No
     q = np.array(quaternion) + [2.0, 0, 0, 0]
     q /= np.linalg.norm(q)
     expected = Rotation.from_quat([*q[1:], q[0]]).apply(np.array(vector))
-    np.testing.assert_allclose(rotated(q[None], np.array(vector)[None])[0], expected, atol=1e-12)
+    np.testing.assert_allclose(rotate(q[None], np.array(vector)[None])[0], expected, atol=1e-12)
 
 
 def test_first_states() -> None:

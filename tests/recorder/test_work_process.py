@@ -32,6 +32,7 @@ from gpusimbench.recorder.vector.device.log import About, DeviceLog, HostLog
 from gpusimbench.recorder.vector.modes import Mode
 from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import StateField, body_field
+from tests.conftest import has_ended, wait_for
 from tests.reading import verified
 
 BODIES = ("red", "blue", "green")
@@ -44,6 +45,7 @@ def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
     """Let a process do the work, whatever this machine has; and leave none behind."""
     monkeypatch.setattr(work_process, "LEAST_CPUS", 1)
     monkeypatch.setattr(work_process, "LEAST_BYTES", 1)
+    monkeypatch.setattr(work_process, "_READY_S", 300.0)
     monkeypatch.setattr(states, "_ALONE_BYTES", 1)
     yield monkeypatch
     assert not helpers()
@@ -210,11 +212,12 @@ def test_while_a_device_steps(cpus: int, tmp_path: Path, process: pytest.MonkeyP
         "terminated": jax.numpy.zeros(300, dtype=bool),
         "truncated": jax.numpy.zeros(300, dtype=bool),
     }
+    before = threading.enumerate()
     log = DeviceLog(JaxRows(), 60)
     log.begin(row, HostLog(tmp_path / "a.mcap", steps=60, dt=0.1, about=about))
     for _ in range(60):
         assert bool(helpers()) == (cpus == 1)
-        assert not [thread for thread in threading.enumerate() if thread.name.startswith("capture")]
+        assert not [t for t in threading.enumerate() if t.name.startswith("capture") and t not in before]
         log.make_room()
         log.keep(row)
     recording = verified(tmp_path / "a.mcap")
@@ -238,7 +241,7 @@ def test_a_process_is_killed(who: str, when: str, tmp_path: Path) -> None:
     with pytest.raises(DataLost, match=f"writing stopped: {who}; what was written is in .*partial"):
         record()
     assert len(working) > 2
-    assert not psutil.wait_procs(working, timeout=300)[1]
+    wait_for(lambda: all(map(has_ended, working)))
     assert not path.exists()
     recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
@@ -248,7 +251,6 @@ def test_a_process_is_killed(who: str, when: str, tmp_path: Path) -> None:
 def test_a_process_is_stopped(copy: bool, tmp_path: Path, process: pytest.MonkeyPatch) -> None:
     """Do not wait for ever where one that works is stopped: kill all of them, and say that data are lost."""
     process.setattr(work_process, "_LOOK_S", 0.05)
-    process.setattr(work_process, "_SILENT_S", 1.0)
     rows, working = drawn(200, 100), []
 
     def record() -> None:
@@ -256,13 +258,14 @@ def test_a_process_is_stopped(copy: bool, tmp_path: Path, process: pytest.Monkey
             log.append(*(array[:100] for array in rows))
             working.extend([helper(), *helper().children()])
             working[-1 if copy else 0].suspend()
+            process.setattr(work_process, "_SILENT_S", 1.0)  # not while it starts, which may take as long
             log.append(*(array[100:] for array in rows))
 
     with pytest.raises(
         DataLost, match=r"did nothing for 1 s: it was stopped, or hangs, and has been killed; what was wr"
     ):
         record()
-    assert not psutil.wait_procs(working, timeout=300)[1]
+    wait_for(lambda: all(map(has_ended, working)))
     recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
 
@@ -453,7 +456,7 @@ def test_the_program_is_killed(tmp_path: Path) -> None:
         assert child.stdout is not None and child.stdout.readline() == b"begun\n"
         (working,) = helpers(child.pid)
         child.kill()
-    working.wait(300)
+    wait_for(lambda: has_ended(working))
     recording = verified(tmp_path / "a.mcap.partial")
     assert recording.status == "incomplete"
 
@@ -490,7 +493,7 @@ def test_no_process_can_be_started(tmp_path: Path, process: pytest.MonkeyPatch) 
             log.append(*drawn(60, 100))
             assert not helpers()
         assert whole(tmp_path / f"{what}.mcap", 60)
-        assert len(os.listdir("/proc/self/fd")) == before
+        assert len(os.listdir("/proc/self/fd")) <= before  # connections of other tests may be closed meanwhile
 
 
 def test_one_of_several_processes_cannot_be_started(process: pytest.MonkeyPatch) -> None:
@@ -506,12 +509,12 @@ def test_one_of_several_processes_cannot_be_started(process: pytest.MonkeyPatch)
     stream = StateStream(FIELDS, 100, 50, 0.1, 1, frozenset(), 0)
     memory = os.memfd_create("states")
     ours, theirs = connection.Pipe()
-    before = psutil.Process().children()
+    before = {*psutil.Process().children()}
     with ours, theirs, pytest.raises(BlockingIOError):
         work_child._Sharing(stream, work_child.Shared(memory, stream), ranges.Ranges(100), theirs)
     os.close(memory)
     assert not answers
-    assert psutil.Process().children() == before
+    assert {*psutil.Process().children()} <= before
 
 
 def test_what_is_loaded_without_a_process() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from gpusimbench import UsageError, open_recording, wrap
 from gpusimbench.evaluator.read.episodes import episode_table
-from gpusimbench.recorder.vector.infos import info_arrays
+from gpusimbench.recorder.vector.fields import info_arrays
 from gpusimbench.recorder.vector.modes import Mode
 from tests.reading import verified
 
@@ -111,7 +111,10 @@ def test_infos_without_masks() -> None:
 
 @pytest.mark.parametrize(
     ("value", "match"),
-    [(np.zeros(2), "a number for each of 2 environments"), ("yes", "arrays of real numbers or truth values")],
+    [
+        (np.zeros(2), "a number for each of 2 environments is recorded: give each component a name"),
+        ("yes", "arrays of real numbers or truth values"),
+    ],
 )
 def test_infos_that_cannot_be_recorded(value: Any, match: str, tmp_path: Path) -> None:
     """End the recording with the reason where an info is no scalar or no number."""

@@ -97,12 +97,12 @@ def test_a_block_is_drawn_again(generator: Generator, env: int, first: int, rows
 def test_compiled_code_draws_the_same(generator: Generator, first: int, rows: int, data: Any) -> None:
     """Give the same bits by machine code, as drawn in captures of many actions."""
     pytest.importorskip("numba")
-    from gpusimbench.schemas.action_generator_compiled import fill
+    from gpusimbench.schemas.compiled import action_loop
 
     given_streams = data.draw(streams(3))
     drawn = generator.draw(given_streams, first, rows)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(action_generator, "_fill", fill)
+        patch.setattr(action_generator, "_fill", action_loop())
         assert generator.draw(given_streams, first, rows).tobytes() == drawn.tobytes()
 
 

@@ -35,7 +35,7 @@ from gpusimbench.schemas.fields import StateField, body_field
 from gpusimbench.schemas.mcap import chunks, contents, declarations, decompression, index, reader, records
 from gpusimbench.schemas.remote import file as remote
 from gpusimbench.schemas.remote import web
-from gpusimbench.schemas.view import geometry, shapes
+from gpusimbench.schemas.view import geometry
 from tests.schemas.test_view_geometry import GOOD, changed
 from tests.synthetic import grid, write_recording
 
@@ -87,7 +87,7 @@ BOUNDS: dict[str, str] = {
     "environments, steps": f"2^{configuration.MAX_ENVS.bit_length() - 1}, 2^{checks.MAX_COUNT.bit_length() - 1}",
     "environments in a view, a definition of its types": (f"{configuration.MAX_VIEW}, {_bytes(types._LARGEST_SCHEMA)}"),
     "bodies, shapes and triangles of a view": (
-        f"{shapes.MAX_LINKS}, {geometry.MAX_SHAPES}, {geometry.MAX_TRIANGLES:,}; {geometry._JOINTS} joints a body; "
+        f"{geometry.MAX_LINKS}, {geometry.MAX_SHAPES}, {geometry.MAX_TRIANGLES:,}; {geometry._JOINTS} joints a body; "
         f"no length beyond {geometry._FAR_M:.0f} m"
     ),
     "arrays of an attachment": (
@@ -189,7 +189,7 @@ READ: dict[str, tuple[ModuleType, str, int | Callable[[Path], int], Callable[[Pa
     "shapes": (geometry, "MAX_SHAPES", 3, lambda _: geometry.look_of({}, _geometry(1, 3))),
     "triangles": (geometry, "MAX_TRIANGLES", 4, lambda _: geometry.look_of({}, FOUR)),
     "joints": (geometry, "_JOINTS", 2, lambda _: geometry.look_of({}, GOOD)),
-    "links": (shapes, "MAX_LINKS", 3, lambda _: shapes.links_of(_robot(3))),
+    "links": (geometry, "MAX_LINKS", 3, lambda _: geometry.links_of(_robot(3))),
     "a remote file": (remote, "_MOST_BYTES", lambda p: p.stat().st_size, lambda p: open_recording(_remote(p))),
     "the summary": (index, "MAX_SUMMARY_BYTES", _summary_bytes, lambda p: open_recording(_remote(p))),
     "environments": (configuration, "MAX_ENVS", 2, lambda p: open_recording(p).configuration),

@@ -130,7 +130,7 @@ _SHAPES = st.tuples(st.integers(1, 4), st.integers(1, 40), st.lists(st.integers(
 @given(_SHAPES, st.sampled_from([np.float32, np.float64]), st.integers(0, 2**32 - 1))
 def test_compiled_as_numpy(shape: tuple[int, int, list[int]], dtype: Any, seed: int) -> None:
     """Give the same bits by machine code and by numpy, of fields of any width and of any bits."""
-    from gpusimbench.schemas.fingerprint_compiled import add_hashes
+    from gpusimbench.schemas.compiled import hash_loop
 
     steps, envs, widths = shape
     rng = np.random.default_rng(seed)
@@ -140,7 +140,7 @@ def test_compiled_as_numpy(shape: tuple[int, int, list[int]], dtype: Any, seed: 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_compiled", None)
         by_numpy = fingerprint(arrays)
-        patch.setattr(module, "_compiled", add_hashes)
+        patch.setattr(module, "_compiled", hash_loop())
         assert np.array_equal(fingerprint(arrays), by_numpy)
 
 
@@ -148,7 +148,7 @@ def test_compiled_as_numpy(shape: tuple[int, int, list[int]], dtype: Any, seed: 
 def test_hashes_without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
     """Go on with numpy where numba is not installed, as in the Pythons of some engines."""
     monkeypatch.setitem(sys.modules, "numba", None)
-    monkeypatch.delitem(sys.modules, "gpusimbench.schemas.fingerprint_compiled", raising=False)
+    monkeypatch.delitem(sys.modules, "gpusimbench.schemas.compiled", raising=False)
     expect(COMPILED_BYTES)
     assert module._compiled is None
     assert fingerprint([np.ones((1, 1), dtype=np.float32)]).shape == ()
@@ -184,7 +184,7 @@ def test_numba_that_compiles_nothing(broken: str, tmp_path: Path) -> None:
         (tmp_path / "numba.py").write_text("raise AttributeError('coverage.types has no attribute Tracer')")
         environment["PYTHONPATH"] = os.pathsep.join([str(tmp_path), *sys.path])
     if broken == "cache":
-        made = "import gpusimbench.schemas.fingerprint_compiled, gpusimbench.schemas.action_generator_compiled"
+        made = "from gpusimbench.schemas.compiled import action_loop, hash_loop; action_loop(), hash_loop()"
         subprocess.run([sys.executable, "-c", made], env=environment, check=True)
         indexes = list((tmp_path / "cache").rglob("*.nbi"))
         assert len(indexes) == 2

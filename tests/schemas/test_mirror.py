@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.registry import make_scene, scene_names
 from gpusimbench.schemas.initial import AXES
-from gpusimbench.schemas.mirror import can_mirror, mirrored, why_unlike_its_image
+from gpusimbench.schemas.symmetry import can_mirror, mirrored, why_unlike_its_image
 from tests.rotations import rotation
 
 SIGNS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "xy": (-1.0, -1.0, 1.0)}

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.recorder.scenes.registry import make_scene, scene_names
 from gpusimbench.schemas.fields import body_fields
-from gpusimbench.schemas.relabel import Relabelling
+from gpusimbench.schemas.symmetry import Relabelling
 
 
 def _described(name: str = "inclined-collision") -> dict[str, Any]:

@@ -249,6 +249,10 @@ CONDITIONS: dict[str, tuple[str, Callable[[Integrity], bool]]] = {
         "the recorder counted what moves at the beginning and the end of the timed phase",
         lambda f: work_facts.moving(recording_of(f)) is not None,
     ),
+    "misplaced-counted": (
+        "contacts outside of their bodies are counted",
+        lambda f: work_facts.misplaced_counted(recording_of(f)),
+    ),
     "throttling-known": (
         "the GPU tells in the timed phase why its clocks are not higher",
         lambda f: hardware.timed_throttled_share(recording_of(f)) is not None,

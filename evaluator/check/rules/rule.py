@@ -11,8 +11,8 @@ from typing import Any
 
 from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
-from gpusimbench.schemas.commands.suggestion import did_you_mean
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.text import did_you_mean
 
 PROTOCOL = "protocol-2"
 """The newest version of the benchmark's protocol: what is asked for where no version is named."""

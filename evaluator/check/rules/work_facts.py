@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from gpusimbench.evaluator.check import hardware
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.rules.fact import (
@@ -13,7 +15,8 @@ from gpusimbench.evaluator.check.rules.fact import (
     simulation_of,
 )
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.schemas.provenance import Simulation
+from gpusimbench.schemas.provenance import MISPLACED_CONTACTS, Simulation
+from gpusimbench.schemas.text import plural
 from gpusimbench.schemas.tosses import EVEN
 
 FACTS_OF_A_TOSS = ("static_friction", "kinetic_friction", "mass", "size", "inertia")
@@ -64,6 +67,22 @@ def moving(recording: Recording) -> float | None:
     is less; None where they are not counted at both."""
     found = recording.counts.get("timed", {}).get("moving")
     return float(min(found.mean)) if found is not None and len(found.mean) > 1 else None
+
+
+def misplaced_counted(recording: Recording) -> bool:
+    """Whether contacts outside of their bodies are counted, in any phase."""
+    return any(MISPLACED_CONTACTS in by_name for by_name in recording.counts.values())
+
+
+def misplaced_contacts(recording: Recording) -> tuple[str, ...]:
+    """Contacts outside of their bodies: a sentence for each phase that counted any."""
+    n_env, found = recording.configuration.n_env, []
+    for phase, by_name in recording.counts.items():
+        counts = by_name.get(MISPLACED_CONTACTS)
+        if counts is not None and counts.max.any():
+            number = plural(round(counts.mean.sum() * n_env), "misplaced contact", spec=",")
+            found.append(f"{number} in the {phase} phase, first at step {counts.steps[np.argmax(counts.max > 0)]}")
+    return tuple(found)
 
 
 def facts_not_honoured(simulation: Simulation) -> tuple[str, ...]:
@@ -172,6 +191,11 @@ WORK_FACTS: dict[str, Fact] = {
         lambda f: _required(
             hardware.timed_throttled_share(recording_of(f)), "no reading tells why clocks are not higher"
         ),
+    ),
+    "misplaced_contacts": Fact(
+        FactType.list,
+        "contacts outside of one of their two bodies, by phase",
+        lambda f: misplaced_contacts(recording_of(f)),
     ),
     "given_start": Fact(
         FactType.flag,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Row, Section, Table, Tone, key_of, table
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.sections.rows import FEW, Reasons, of_groups, ordered
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.validity import BufferUse, Counted
 from gpusimbench.schemas.text import plural
@@ -31,7 +33,9 @@ def section(source: Source) -> Section | None:
         blocks = (*_deviating(source, results), _by_simulator(results), listed)
     invalid = sum(any(run.status == "invalid" for run in r.group.recordings) for r in results)
     said = f"{plural(invalid, 'group')} with INVALID runs" if invalid else "no run is INVALID"
-    return Section("validity", "Validity", blocks, said, folded=True)
+    misplaced = sum(bool(faults(r).misplaced) for r in results)
+    also = f"; {plural(misplaced, 'group')} with misplaced contacts" if misplaced else ""
+    return Section("validity", "Validity", blocks, said + also, folded=True)
 
 
 def _of_groups(source: Source, results: Sequence[GroupResult]) -> Table:
@@ -47,11 +51,11 @@ def _of_groups(source: Source, results: Sequence[GroupResult]) -> Table:
 
 
 def _deviating(source: Source, results: Sequence[GroupResult]) -> Iterator[Table]:
-    """Groups in which a run is not complete or a buffer overflowed."""
-    found = [r for r in results if _ended(r).keys() - {"complete"} or r.validity.overflow]
+    """Groups in which a run is not complete, a buffer overflowed or a contact is misplaced."""
+    found = [r for r in results if _ended(r).keys() - {"complete"} or r.validity.overflow or faults(r).misplaced]
     if found:
         columns = [(Column("runs"), _runs), (Column("fullest buffer"), _fullest), (Column("overflow"), _overflow)]
-        caption = "Groups with runs that are not complete, or with an overflow"
+        caption = "Groups with runs that are not complete, with an overflow, or with misplaced contacts"
         yield of_groups(source, "validity-deviating", caption, found, columns, Reasons())
 
 
@@ -101,7 +105,8 @@ def _ended(result: GroupResult) -> dict[str, int]:
 
 
 def _runs(result: GroupResult) -> Cell:
-    return _endings(_ended(result))
+    ended, misplaced = _endings(_ended(result)), faults(result).misplaced
+    return replace(ended, notes=(misplaced,), tone=Tone.BAD) if misplaced else ended
 
 
 def _endings(ended: dict[str, int]) -> Cell:

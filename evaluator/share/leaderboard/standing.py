@@ -23,6 +23,7 @@ from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reprodu
 from gpusimbench.schemas.configuration import TELLING, Settings, deciding
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.gathering import gathered
+from gpusimbench.schemas.text import plural
 
 ELSEWHERE = "the same engine elsewhere"
 """What a reason begins with that is from another row of the same engine."""
@@ -210,7 +211,7 @@ def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequ
     outcomes = result.group.outcomes
     if outcomes["invalid"]:
         reasons = dict.fromkeys(e.reason for e in entries if e.status.startswith("INVALID"))
-        return f"{outcomes['invalid']} of {len(entries)} runs INVALID: {'; '.join(reasons)}"
+        return f"{outcomes['invalid']} of {plural(len(entries), 'run')} INVALID: {'; '.join(reasons)}"
     if broken := [e for e in entries if e.check == BROKEN]:
         return f"breaks a rule of integrity-1: {broken[0].findings[0]}"
     if not result.group.complete:
@@ -222,8 +223,8 @@ def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequ
         titles = "; ".join(row.check.title for row in wrong)
         said = f"states break mechanics ({result.fidelity.revision.value}): {titles}{also}"
         return "; ".join(filter(None, (said, faults(result).laws)))
-    if laws := faults(result).laws:
-        return laws
+    if wrong_of_group := faults(result).misplaced or faults(result).laws:
+        return wrong_of_group
     fps = result.metrics["fps"]
     if isinstance(fps.value, Missing):
         return fps.value.reason

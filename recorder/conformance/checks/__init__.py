@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gpusimbench.recorder.conformance.checks import (
-    actions,
     agreement,
     description,
     evidence,
+    given,
     motion,
     recorded,
-    start,
     state,
-    varied,
 )
 from gpusimbench.recorder.conformance.subject import Subject
 
@@ -27,10 +25,10 @@ CHECKS: tuple[Check, ...] = (
     description.class_keeps_the_contract,
     description.says_what_it_is,
     description.layout_is_as_the_format_asks,
-    start.first_state_is_the_scenes,
-    start.envs_start_alike,
-    start.registered_scenes_start_as_described,
-    start.compile_moves_nothing,
+    state.first_state_is_the_scenes,
+    state.envs_start_alike,
+    state.registered_scenes_start_as_described,
+    state.compile_moves_nothing,
     motion.states_are_finite,
     motion.quaternions_are_normalised,
     motion.turns_counter_clockwise,
@@ -58,8 +56,8 @@ CHECKS: tuple[Check, ...] = (
     state.restoring_some_leaves_others,
     state.set_state_is_shown,
     state.set_state_starts_afresh,
-    actions.actions_are_those_drawn,
-    varied.varied_envs_are_those_of_their_scenes,
+    given.actions_are_those_drawn,
+    given.varied_envs_are_those_of_their_scenes,
     recorded.run_is_recorded_whole,
     recorded.recording_says_what_it_is_of,
     recorded.timed_steps_lead_where_captured_ones_do,

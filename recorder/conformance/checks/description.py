@@ -10,8 +10,8 @@ import subprocess
 import sys
 
 from gpusimbench.recorder.abilities import titles
-from gpusimbench.recorder.conformance.frames import FRAMES
 from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.trajectory import FRAMES
 from gpusimbench.recorder.conformance.verdict import NotApplicable, expect
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, States

@@ -10,9 +10,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.conformance.frames import SUBSTEPS
 from gpusimbench.recorder.conformance.scene import BALL, DT, LOWER, MARBLE, N_STEP, STONE, UPPER
 from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.trajectory import SUBSTEPS
 from gpusimbench.recorder.conformance.verdict import expect, expect_close
 from gpusimbench.recorder.scenes.base import Sphere
 from gpusimbench.recorder.scenes.cube_stack import EDGE

@@ -140,14 +140,14 @@ def _body(body: Body, name: str, material: str, apis: Apis) -> Prim:
             "quatf physics:principalAxes = (1, 0, 0, 0)",
         ]
         prim.apply(apis, "PhysxRigidBodyAPI")
-    prim.add(collider(body.shape, "shape", material, apis))
+    prim.add(collider(body.shape, material, apis))
     return prim
 
 
-def collider(shape: Shape, name: str, material: str, apis: Apis) -> Prim:
-    """A shape at the origin of its parent, bound to the material of that path."""
+def collider(shape: Shape, material: str, apis: Apis) -> Prim:
+    """A prim "shape" at the origin of its parent, bound to the material of that path."""
     kind, properties, scale = _geometry(shape)
-    prim = Prim(kind, name, ["PhysicsCollisionAPI", "MaterialBindingAPI"], properties)
+    prim = Prim(kind, "shape", ["PhysicsCollisionAPI", "MaterialBindingAPI"], properties)
     prim.properties.append(f"rel material:binding:physics = <{material}>")
     if scale is not None:
         prim.properties += operation_lines({"double3 xformOp:scale": tuple_text(scale)})
@@ -213,7 +213,7 @@ def _apart(robot: Robot, link: Link, path: str, words: Mapping[str, str]) -> lis
 
 def _link(link: Link, name: str, pose: tuple[Vector, Quaternion], material: str, apis: Apis, apart: list[str]) -> Prim:
     prim = Prim("Xform", name, ["PhysicsRigidBodyAPI", "PhysicsMassAPI"], pose_lines(*pose))
-    moments, axes = _principal(link.inertial)
+    moments, axes = principal_axes(link.inertial)
     prim.properties += [
         f"float physics:mass = {literal(link.inertial.mass)}",
         f"point3f physics:centerOfMass = {tuple_text(link.inertial.centre)}",
@@ -227,7 +227,7 @@ def _link(link: Link, name: str, pose: tuple[Vector, Quaternion], material: str,
     for index, placed in enumerate(link.shapes):
         place = prim.add(Prim("Xform", f"shape_{index}"))
         place.properties = pose_lines(placed.position, placed.orientation)
-        place.add(collider(placed.shape, "shape", material, apis))
+        place.add(collider(placed.shape, material, apis))
     return prim
 
 
@@ -279,8 +279,8 @@ def _joint(
     return prim
 
 
-def _principal(inertial: Inertial) -> tuple[Vector, Quaternion]:
-    """Principal moments and the rotation to their axes, of a symmetric inertia tensor."""
+def principal_axes(inertial: Inertial) -> tuple[Vector, Quaternion]:
+    """Principal moments of inertia [kg m2], and the orientation of their axes in the link's frame, wxyz."""
     xx, yy, zz, xy, xz, yz = inertial.inertia
     moments, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
     if np.linalg.det(axes) < 0:

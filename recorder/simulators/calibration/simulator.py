@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.calibration.chance import entropy_of
 from gpusimbench.recorder.simulators.calibration.model import deviations
-from gpusimbench.recorder.simulators.calibration.options import BY_RUN, CalibrationOptions
+from gpusimbench.recorder.simulators.calibration.options import BY_RUN, CalibrationOptions, entropy_of
 from gpusimbench.recorder.simulators.evidence import CONTACTS, Evidence
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, rows_of
 from gpusimbench.schemas.errors import UsageError

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.simulators.calibration.chance import orders, places, shares
 from gpusimbench.recorder.simulators.calibration.model import LONGEST_STEP, model_of
-from gpusimbench.recorder.simulators.calibration.options import CalibrationOptions
+from gpusimbench.recorder.simulators.calibration.options import CalibrationOptions, orders, places, shares
 from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 
 _RING_ROWS = 50

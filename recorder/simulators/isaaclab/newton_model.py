@@ -28,8 +28,8 @@ from gpusimbench.recorder.simulators.newton.mujoco_terms import (
 from gpusimbench.recorder.simulators.physx.held_parameters import HeldParameters, imported_of
 from gpusimbench.recorder.simulators.physx.model import Model
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
+from gpusimbench.recorder.simulators.physx.plan import ADDED_SHARE, Link
 from gpusimbench.recorder.simulators.physx.stage import emit_model
-from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Link
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation

@@ -190,7 +190,7 @@ class IsaacLab(Slotted):
         return Physx(self.scene, gpu=self._device.is_cuda, **common)
 
     def _make_world(self) -> Any:
-        from gpusimbench.recorder.simulators.isaaclab.articulations import ModelWorld
+        from gpusimbench.recorder.simulators.isaaclab.model import ModelWorld
         from gpusimbench.recorder.simulators.isaaclab.world import BodyWorld
 
         common: dict[str, Any] = {

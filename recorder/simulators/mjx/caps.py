@@ -58,11 +58,19 @@ class PairGroup:
 
 
 def pair_groups(model: Any) -> tuple[PairGroup, ...]:
-    """The collision functions that MJX runs for a mujoco.MjModel."""
+    """The collision functions that MJX runs for a mujoco.MjModel.
+
+    NotImplementedError names the kinds of two shapes between which MJX has no collisions.
+    """
+    import mujoco
     from mujoco.mjx._src import collision_driver
 
     # MJX tells its grouping nowhere else; made anew here, it could come to differ unseen.
     groups = collision_driver._geom_groups(model)
+    for key in groups:
+        if key.types not in collision_driver._COLLISION_FUNC:
+            a, b = (mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower() for kind in key.types)
+            raise NotImplementedError(f"no collisions between {a} and {b}")
     return tuple(
         PairGroup(
             pairs=np.array(members, dtype=np.int64)[:, :2],

@@ -16,9 +16,16 @@ from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.variation import Variation
-from gpusimbench.recorder.simulators.evidence import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from gpusimbench.recorder.simulators.evidence import (
+    CANDIDATE_PAIRS,
+    CONSTRAINT_ROWS,
+    CONTACTS,
+    MISPLACED_CONTACTS,
+    SOLVER_ITERATIONS,
+)
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW
 from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
+from gpusimbench.recorder.simulators.mujoco.contacts import misplaced
 from gpusimbench.recorder.simulators.mujoco.options import (
     CONES,
     STATE_COMPONENTS,
@@ -159,15 +166,16 @@ def load(
     mjx_caps.check_read(limited.model, caps)
     models = compile_varied(scene, variation, n_env=n_env, dt=dt, options=physics, numerics=caps.numerics)
     varied = model_fields(limited.model, models)
-    certificate = mjx_caps.Certificate(limited.model, caps, varied.get("geom_rbound"))
+    radii = varied.get("geom_rbound", limited.model.geom_rbound)
+    certificate = mjx_caps.Certificate(limited.model, caps, radii)
     return MjxModel(
         limited,
         impl,
         sizes={},
         buffers=caps.buffers,
-        counters=(CONTACTS, CONSTRAINT_ROWS, CANDIDATE_PAIRS),
+        counters=(CONTACTS, CONSTRAINT_ROWS, CANDIDATE_PAIRS, MISPLACED_CONTACTS),
         overflow_bits=mjx_caps.BITS,
-        count=lambda data: _count_jax(data, certificate, elliptic=physics.cone == "elliptic"),
+        count=lambda data: _count_jax(data, certificate, radii, elliptic=physics.cone == "elliptic"),
         varied=varied,
     )
 
@@ -201,16 +209,19 @@ def _for_warp(compiled: Any, *, n_env: int, dt: float, seed: int, options: MjxOp
             Buffer("naconmax", naconmax, "all", counter=CONTACTS.name, sized_by=contacts_by),
             Buffer("njmax", njmax, "env", counter=CONSTRAINT_ROWS.name, sized_by=rows_by),
         ),
-        counters=(CONTACTS, CONSTRAINT_ROWS, SOLVER_ITERATIONS),
+        counters=(CONTACTS, CONSTRAINT_ROWS, SOLVER_ITERATIONS, MISPLACED_CONTACTS),
         overflow_bits=tuple(
             OverflowBit(int(bit).bit_length() - 1, str(bit.name), fatal=bit.name not in _INFORMATION) for bit in bits
         ),
-        count=_count_warp,
+        count=lambda data: _count_warp(data, model.geom_rbound),
     )
 
 
-def _count_jax(data: Any, certificate: Any, *, elliptic: bool) -> dict[str, Any]:
-    """Counts of the last step from a batched mjx.Data, whose contacts and poses are those that the step began with."""
+def _count_jax(data: Any, certificate: Any, radii: NDArray[np.floating], *, elliptic: bool) -> dict[str, Any]:
+    """Counts of the last step from a batched mjx.Data, whose contacts and poses are those that the step began with.
+
+    radii  of the geoms' bounding spheres [m], [geom] or [env, geom]
+    """
     import jax.numpy as jnp
 
     inner = data._impl
@@ -220,31 +231,48 @@ def _count_jax(data: Any, certificate: Any, *, elliptic: bool) -> dict[str, Any]
     limits = slice(inner.ne + inner.nf, inner.ne + inner.nf + inner.nl)
     at_limit = inner.efc_pos[:, limits] < inner.efc_margin[:, limits]
     candidates = certificate.candidates(data.geom_xpos)
+    env = jnp.arange(len(active))[:, None]
+    outside = active & _misplaced(inner.contact.pos, inner.contact.dist, inner.contact.geom, env, data, radii)
     return {
         CONTACTS.name: active.sum(axis=-1, dtype=jnp.int32),
         CONSTRAINT_ROWS.name: (active * rows_each).sum(axis=-1, dtype=jnp.int32)
         + at_limit.sum(axis=-1, dtype=jnp.int32)
         + jnp.int32(inner.ne + inner.nf),
         CANDIDATE_PAIRS.name: candidates,
+        MISPLACED_CONTACTS.name: outside.sum(axis=-1, dtype=jnp.int32),
         OVERFLOW: certificate.bits(candidates, active, dim),
     }
 
 
-def _count_warp(data: Any) -> dict[str, Any]:
+def _misplaced(points: Any, distances: Any, geoms: Any, env: Any, data: Any, radii: NDArray[np.floating]) -> Any:
+    """As of mujoco.contacts, of contacts between geoms [..., 2] of the environments `env`, [...]; -1: no geom, and no
+    point is outside."""
+    import jax.numpy as jnp
+
+    of_env = jnp.broadcast_to(jnp.asarray(radii, jnp.float32), data.geom_xpos.shape[:2])[env[..., None], geoms]
+    centres = data.geom_xpos[env[..., None], geoms]
+    return misplaced(points, distances, centres, jnp.where(geoms < 0, 0, of_env), jnp)
+
+
+def _count_warp(data: Any, radii: NDArray[np.floating]) -> dict[str, Any]:
     """Counts of the last step from a batched mjx.Data; overflow bits are those since they were cleared.
 
     Contacts of all environments lie in one pool, in no order; each says whose it is.
+
+    radii  of the geoms' bounding spheres [m], [geom]
     """
     import jax.numpy as jnp
 
     inner = data._impl
     n_env = data.qpos.shape[0]
     used = jnp.arange(inner.contact__worldid.shape[0]) < inner.nacon[0]
-    contacts = jnp.zeros(n_env, jnp.int32).at[inner.contact__worldid].add(used.astype(jnp.int32), mode="drop")
+    env, none = inner.contact__worldid, jnp.zeros(n_env, jnp.int32)
+    outside = used & _misplaced(inner.contact__pos, inner.contact__dist, inner.contact__geom, env, data, radii)
     return {
-        CONTACTS.name: contacts,
+        CONTACTS.name: none.at[env].add(used.astype(jnp.int32), mode="drop"),
         CONSTRAINT_ROWS.name: inner.nefc.reshape(n_env),
         SOLVER_ITERATIONS.name: inner.solver_niter.reshape(n_env),
+        MISPLACED_CONTACTS.name: none.at[env].add(outside.astype(jnp.int32), mode="drop"),
         OVERFLOW: inner.overflow.reshape(n_env).astype(jnp.uint32),
     }
 

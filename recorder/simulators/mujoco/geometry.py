@@ -15,8 +15,7 @@ from mujoco import mjtDisableBit, mjtGeom, mjtJoint, mjtWrap
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.model import BALLS, BODIES, JOINTS, moving
-from gpusimbench.schemas.view.geometry import MAX_SHAPES
-from gpusimbench.schemas.view.shapes import MAX_LINKS
+from gpusimbench.schemas.view.geometry import MAX_LINKS, MAX_SHAPES
 
 _LEVEL = 1 - 1e-12  # of the normal's component along z
 

@@ -229,7 +229,7 @@ class _Reader:
         for geom in np.flatnonzero(self._read("geom_type") == int(mjtGeom.mjGEOM_MESH)):
             mesh = int(self._read("geom_dataid")[geom])
             first, count = (int(self._read(f"mesh_{name}")[mesh]) for name in ("vertadr", "vertnum"))
-            turn = _rotation(self._read("geom_quat")[geom])
+            turn = rotation(self._read("geom_quat")[geom])
             points = self._read("mesh_vert").reshape(-1, 3)[first : first + count] @ turn.T
             low, high = points.min(axis=0), points.max(axis=0)
             rows[geom] = (high - low) / 2 if which else (low + high) / 2 + self._read("geom_pos")[geom]
@@ -301,12 +301,13 @@ class _Reader:
 
 def tensor(moments: NDArray[Any], orientation: NDArray[Any]) -> NDArray[np.float64]:
     """Principal moments [3] and the orientation of their axes, wxyz, as xx, yy, zz, xy, xz, yz."""
-    turn = _rotation(orientation)
+    turn = rotation(orientation)
     full = turn @ np.diag(np.asarray(moments, dtype=np.float64)) @ turn.T
     return six(full)
 
 
-def _rotation(orientation: NDArray[Any]) -> NDArray[np.float64]:
+def rotation(orientation: NDArray[Any]) -> NDArray[np.float64]:
+    """The matrix [3, 3] of a unit quaternion wxyz."""
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, np.asarray(orientation, dtype=np.float64))
     return matrix.reshape(3, 3)

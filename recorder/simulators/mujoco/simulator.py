@@ -17,7 +17,7 @@ from gpusimbench.recorder.abilities import BODIES, ROBOTS, VARIED, Ability
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import one_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, Evidence, joined
+from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, MISPLACED_CONTACTS, Evidence, joined
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.schemas.imported import Imported
@@ -91,7 +91,7 @@ class MujocoC(Simulator):
             fields=compiled.fields("float64"),
             timing_covers=self._worlds.timing_covers,
             attachments=compiled.attachments,
-            counters=(CONTACTS, CONSTRAINT_ROWS),
+            counters=(CONTACTS, CONSTRAINT_ROWS, *(() if self._worlds.misplaced() is None else (MISPLACED_CONTACTS,))),
             overflow_bits=tuple(OverflowBit(bit, name, fatal=True) for bit, name in enumerate(_DROPPED)),
         )
 
@@ -215,6 +215,8 @@ class MujocoC(Simulator):
             name: self._worlds.read(field).reshape(1, -1).astype(np.int64)
             for name, field in ((CONTACTS.name, "ncon"), (CONSTRAINT_ROWS.name, "nefc"))
         }
+        if (misplaced := self._worlds.misplaced()) is not None:
+            counts[MISPLACED_CONTACTS.name] = misplaced[None]
         return Evidence(counts, (fired << np.arange(len(_DROPPED))).sum(axis=1, dtype=np.uint32)[None])
 
     def gates(self) -> list[str]:

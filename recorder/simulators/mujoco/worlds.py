@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.simulators.mujoco.contacts import misplaced
 from gpusimbench.recorder.simulators.mujoco.options import STATE_COMPONENTS
 from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 from gpusimbench.schemas.errors import UsageError
@@ -48,6 +49,10 @@ class Worlds(ABC):
     @abstractmethod
     def warnings(self) -> NDArray[np.int64]:
         """How often MuJoCo warned since the reset, [env, kind]."""
+
+    def misplaced(self) -> NDArray[np.int64] | None:
+        """Misplaced contacts of the last step, [env]; None where contacts cannot be read."""
+        return None
 
     @property
     @abstractmethod
@@ -144,8 +149,21 @@ class SeparateWorlds(Worlds):
         """See Worlds.warnings."""
         return np.array([data.warning.number for data in self._data], dtype=np.int64)
 
+    def misplaced(self) -> NDArray[np.int64]:
+        """See Worlds.misplaced."""
+        pairs = zip(self._models, self._data, strict=True)
+        return np.array([misplaced_in(model, data) for model, data in pairs], dtype=np.int64)
+
     def _chosen(self, envs: Envs) -> list[int]:
         return list(range(len(self._data))) if envs is None else [int(env) for env in envs]
+
+
+def misplaced_in(model: Any, data: Any) -> int:
+    """Misplaced contacts of a mujoco.MjData."""
+    found = data.contact
+    geoms = found.geom.reshape(-1, 2)  # -1: no geom, and no point is outside
+    radii = np.where(geoms < 0, 0, model.geom_rbound[geoms])
+    return int(misplaced(found.pos.reshape(-1, 3), found.dist, data.geom_xpos[geoms], radii).sum())
 
 
 def remembers(model: Any) -> str:

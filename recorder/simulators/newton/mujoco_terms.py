@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.model import choices
+from gpusimbench.recorder.simulators.mujoco.imported import rotation
 from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.newton.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
@@ -41,7 +42,7 @@ def as_mujoco_has_it(model: Any) -> Quantities:
     ranges are infinite where joints have none."""
     joints = single_joints(model)
     dofs = model.jnt_dofadr[joints]
-    turned = np.stack([_rotation(quaternion) for quaternion in model.body_iquat])
+    turned = np.stack([rotation(quaternion) for quaternion in model.body_iquat])
     inertia = np.einsum("bij,bj,bkj->bik", turned, model.body_inertia, turned)
     limited = np.asarray(model.jnt_limited[joints], dtype=bool)[:, None]
     return {
@@ -222,12 +223,6 @@ def _simple(model: Any, joints: NDArray[np.int64]) -> NDArray[np.bool_]:
 def _springs(model: Any, joints: NDArray[np.int64], reference: NDArray[Any]) -> NDArray[np.float64]:
     # where there is a spring
     return np.where(_simple(model, joints)[:, 0] & (model.jnt_stiffness[joints] != 0), reference, 0.0)[:, None]
-
-
-def _rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
 
 
 def _colliding(model: Any, body: int) -> list[int]:

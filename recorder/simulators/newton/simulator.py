@@ -156,8 +156,7 @@ class Newton(Slotted):
 
     def _deviations(self) -> tuple[Deviation, ...]:
         from gpusimbench.recorder.simulators.mujoco.model import raised_tolerance
-        from gpusimbench.recorder.simulators.newton.deviations import deviations
-        from gpusimbench.recorder.simulators.newton.import_deviations import deviations_of_import
+        from gpusimbench.recorder.simulators.newton.deviations import deviations, deviations_of_import
 
         built, solver = self._worlds.model, self._worlds.solver
         raised: tuple[Deviation, ...] = ()

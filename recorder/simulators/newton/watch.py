@@ -11,13 +11,19 @@ import numpy as np
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.buffer_sizes import Need, measure
-from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from gpusimbench.recorder.simulators.evidence import (
+    CONSTRAINT_ROWS,
+    CONTACTS,
+    MISPLACED_CONTACTS,
+    SOLVER_ITERATIONS,
+)
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.newton.model import detection_distance
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 from gpusimbench.recorder.simulators.newton.solvers import NewtonSizes
 from gpusimbench.recorder.simulators.newton.worlds import Worlds
+from gpusimbench.recorder.simulators.warp.transfer import count_misplaced
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 _MARGIN = 1.5  # Newton's collision detection makes other contacts of the same shapes, and its solvers other motions
@@ -137,10 +143,15 @@ class Watch:
             self._launch(kernels.clear_counts, n_env, row, stored)
             self._launch(kernels.count_worlds, data.naconmax, row, data.nacon, data.contact.worldid, stored)
 
+        def misplaced(row: Any, stored: Any) -> None:
+            self._launch(kernels.clear_counts, n_env, row, stored)
+            count_misplaced(self._worlds.solver.mjw_model, data, row, stored)
+
         self._counts = [
             (CONTACTS, contacts),
             (CONSTRAINT_ROWS, lambda row, stored: self._store(row, data.nefc, stored)),
             (SOLVER_ITERATIONS, lambda row, stored: self._store(row, data.solver_niter, stored)),
+            (MISPLACED_CONTACTS, misplaced),
         ]
 
     def _store(self, row: Any, counts: Any, stored: Any) -> None:

@@ -25,9 +25,9 @@ from gpusimbench.recorder.simulators.mujoco.layout import StateGroup
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 from gpusimbench.recorder.simulators.newton.layout import ModelLayout, NewtonFreeBodies, NewtonJoints
 from gpusimbench.recorder.simulators.physx import libraries
+from gpusimbench.recorder.simulators.physx.plan import Plan, Tree
 from gpusimbench.recorder.simulators.physx.servos import TARGETS, Driven
 from gpusimbench.recorder.simulators.physx.session import Session, every
-from gpusimbench.recorder.simulators.physx.trees import Plan, Tree
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.fields import StateField

@@ -14,11 +14,10 @@ from gpusimbench.recorder.scenes.model import solver_options
 from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
 from gpusimbench.recorder.simulators.mujoco.model import collides
 from gpusimbench.recorder.simulators.newton.mujoco_terms import Quantities, as_mujoco_has_it, different
-from gpusimbench.recorder.simulators.physx.contacts import apart, friction_of, frictions, may_touch
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
+from gpusimbench.recorder.simulators.physx.plan import ADDED_SHARE, Plan, Tree, apart, friction_of, frictions, may_touch
 from gpusimbench.recorder.simulators.physx.servos import Servo
 from gpusimbench.recorder.simulators.physx.stage import FAR
-from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Plan, Tree
 from gpusimbench.schemas.imported import PARAMETERS, Imported, Values
 from gpusimbench.schemas.provenance import Deviation
 from gpusimbench.schemas.text import few

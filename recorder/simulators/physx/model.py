@@ -24,10 +24,10 @@ from gpusimbench.recorder.simulators.physx.held_parameters import (
     imported_of,
 )
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions
+from gpusimbench.recorder.simulators.physx.plan import plan
 from gpusimbench.recorder.simulators.physx.servos import Driven
 from gpusimbench.recorder.simulators.physx.session import Session
 from gpusimbench.recorder.simulators.physx.stage import emit_model, vector
-from gpusimbench.recorder.simulators.physx.trees import plan
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 

@@ -18,9 +18,8 @@ from gpusimbench.recorder.scenes.base import Box, Capsule, Material, Plane, Quat
 from gpusimbench.recorder.scenes.emit.usd import MATERIALS, collider, env_path, material_prim, physics_scene
 from gpusimbench.recorder.scenes.emit.usd_prim import Apis, Prim, literal, pose_lines, stage_text, tuple_text
 from gpusimbench.recorder.simulators.mujoco.model import collides
-from gpusimbench.recorder.simulators.physx.contacts import apart, frictions
+from gpusimbench.recorder.simulators.physx.plan import ADDED_SHARE, Link, Plan, Tree, apart, frictions, joint_frame
 from gpusimbench.recorder.simulators.physx.servos import Servo
-from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Link, Plan, Tree, joint_frame
 
 SHARED = "/World/shared"
 FAR = 1e6
@@ -186,7 +185,7 @@ class _Writer:
                 'uniform token axis = "Z"',
             ]
         else:
-            prim = collider(_shape(kind, sizes), "shape", material, self._apis)
+            prim = collider(_shape(kind, sizes), material, self._apis)
         _filter(prim, [self._geom_path(other) for other in self._apart.geoms.get(geom, ())])
         if self._words is not None:
             prim.properties += self._words.geom(geom)

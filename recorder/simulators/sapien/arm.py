@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gpusimbench.recorder.scenes.base import Hinge, Inertial, Link, Quaternion, Robot, Vector
+from gpusimbench.recorder.scenes.base import Hinge, Inertial, Link, Robot
 from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
+from gpusimbench.recorder.scenes.emit.usd import principal_axes
 from gpusimbench.recorder.simulators.sapien.bodies import X_TO_Z, limit, make_material, make_shape
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 from gpusimbench.schemas.provenance import Deviation
@@ -106,33 +106,3 @@ def _set_inertial(component: Any, inertial: Inertial) -> None:
     component.mass = inertial.mass
     component.cmass_local_pose = sapien.Pose(inertial.centre, axes)
     component.inertia = moments
-
-
-def principal_axes(inertial: Inertial) -> tuple[Vector, Quaternion]:
-    """Principal moments of inertia [kg m2], and the orientation of their axes in the link's frame, wxyz."""
-    xx, yy, zz, xy, xz, yz = inertial.inertia
-    moments, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1.0
-    ixx, iyy, izz = moments.tolist()
-    return (ixx, iyy, izz), _quaternion(axes)
-
-
-def _quaternion(rotation: NDArray[np.float64]) -> Quaternion:
-    """wxyz of a rotation matrix [3, 3], by the largest of the four (Shepperd, J. Guidance and Control, 1978)."""
-    r = rotation
-    trace = float(np.trace(r))
-    squares = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
-    largest = int(np.argmax(squares))
-    q = np.empty(4)
-    if largest == 0:
-        q[:] = 1.0 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    else:
-        i = largest - 1
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[0] = r[k, j] - r[j, k]
-        q[1 + i] = 1.0 + 2.0 * r[i, i] - trace
-        q[1 + j] = r[j, i] + r[i, j]
-        q[1 + k] = r[k, i] + r[i, k]
-    w, x, y, z = (q / np.linalg.norm(q)).tolist()
-    return w, x, y, z

@@ -84,12 +84,14 @@ def snapshot_counts(
     overflow: wp.array(dtype=int),
     ring: wp.array3d(dtype=int),
 ):
-    """Of each env into ring[row[0], .., env]: no contacts yet, rows, iterations, overflow bits; these are cleared."""
+    """Of each env into ring[row[0], .., env]: no contacts yet, rows, iterations, overflow bits, none misplaced yet; the
+    bits are cleared."""
     env = wp.tid()
     ring[row[0], 0, env] = 0
     ring[row[0], 1, env] = nefc[env]
     ring[row[0], 2, env] = niter[env]
     ring[row[0], 3, env] = overflow[env]
+    ring[row[0], 4, env] = 0
     overflow[env] = 0
 
 
@@ -104,6 +106,38 @@ def count_contacts(
     contact = wp.tid()
     if contact < wp.min(nacon[0], worldid.shape[0]):
         wp.atomic_add(ring, row[0], 0, worldid[contact], 1)
+
+
+@wp.kernel(enable_backward=False)
+def count_misplaced(
+    row: wp.array(dtype=wp.int32),
+    nacon: wp.array(dtype=int),
+    worldid: wp.array(dtype=int),
+    geoms: wp.array(dtype=wp.vec2i),
+    points: wp.array(dtype=wp.vec3),
+    distances: wp.array(dtype=float),
+    centres: wp.array2d(dtype=wp.vec3),
+    radii: wp.array2d(dtype=float),
+    counts: wp.array2d(dtype=int),
+):
+    """Adds each contact of the pool that mujoco.contacts calls misplaced to counts[row[0], its env].
+
+    geoms    of each contact; -1: no geom, and no point is outside
+    centres  [env, geom]
+    radii    [env or 1, geom]
+    """
+    contact = wp.tid()
+    if contact >= wp.min(nacon[0], worldid.shape[0]):
+        return
+    env = worldid[contact]
+    for side in range(2):
+        geom = geoms[contact][side]
+        if geom >= 0:
+            radius = radii[env % radii.shape[0], geom]
+            away = wp.length(points[contact] - centres[env, geom])
+            if radius > 0.0 and away > 2.0 * radius + wp.abs(distances[contact]):
+                wp.atomic_add(counts, row[0], env, 1)
+                return
 
 
 @wp.func

@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.abilities import BODIES, ROBOTS, VARIED, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.simulators.base import Description, States
-from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS, Evidence
+from gpusimbench.recorder.simulators.evidence import (
+    CONSTRAINT_ROWS,
+    CONTACTS,
+    MISPLACED_CONTACTS,
+    SOLVER_ITERATIONS,
+    Evidence,
+)
 from gpusimbench.recorder.simulators.flight import Flight, Watch
 from gpusimbench.recorder.simulators.mujoco.options import replacement
 from gpusimbench.recorder.simulators.slots import Slot, SlotBlock, Slots, Slotted
@@ -28,7 +34,7 @@ from gpusimbench.recorder.simulators.warp import worlds
 from gpusimbench.recorder.simulators.warp.flight import WarpFlight
 from gpusimbench.recorder.simulators.warp.options import LEVELS, SETTINGS, WarpOptions
 from gpusimbench.recorder.simulators.warp.runtime import DeviceActions
-from gpusimbench.recorder.simulators.warp.transfer import WarpSlots, evidence_of
+from gpusimbench.recorder.simulators.warp.transfer import COUNTED, WarpSlots, count_misplaced, evidence_of
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
@@ -105,7 +111,7 @@ class MujocoWarp(Slotted):
                 Buffer("naconmax", self._data.naconmax, "all", CONTACTS.name, "nconmax times the environments"),
                 Buffer("njmax", self._njmax, "env", CONSTRAINT_ROWS.name, self._sized(options.njmax, need, need.rows)),
             ),
-            counters=(CONTACTS, CONSTRAINT_ROWS, SOLVER_ITERATIONS),
+            counters=(CONTACTS, CONSTRAINT_ROWS, SOLVER_ITERATIONS, MISPLACED_CONTACTS),
             overflow_bits=tuple(
                 OverflowBit(int(bit).bit_length() - 1, bit.name, bit.name not in _HARMLESS)
                 for bit in mjw.OverflowType
@@ -181,7 +187,7 @@ class MujocoWarp(Slotted):
         shapes: dict[str, tuple[tuple[int, ...], Any]] = {
             "qpos": ((rows, *data.qpos.shape), float),
             "qvel": ((rows, *data.qvel.shape), float),
-            "counts": ((rows, 4, self.n_env), int),
+            "counts": ((rows, COUNTED, self.n_env), int),
         }
         if self.scene.actions is not None:
             shapes["ctrl"] = ((rows, *data.ctrl.shape), float)
@@ -236,6 +242,7 @@ class MujocoWarp(Slotted):
             inputs=[self._row, data.nacon, data.contact.worldid],
             outputs=[counts],
         )
+        count_misplaced(self._model, data, self._row, counts[:, 4])
 
     def _step_and_snapshot(self, slot: Slot) -> None:
         self._one_step()
@@ -340,7 +347,7 @@ class MujocoWarp(Slotted):
         if self._counted is None:
             import warp as wp
 
-            counts = wp.empty((1, 4, self.n_env), dtype=int)
+            counts = wp.empty((1, COUNTED, self.n_env), dtype=int)
             self._row.zero_()
             self._snapshot_counts(counts)
             return evidence_of(counts.numpy())

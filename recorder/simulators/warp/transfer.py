@@ -7,8 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.simulators.evidence import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS, Evidence
+from gpusimbench.recorder.simulators.evidence import (
+    CONSTRAINT_ROWS,
+    CONTACTS,
+    MISPLACED_CONTACTS,
+    SOLVER_ITERATIONS,
+    Evidence,
+)
 from gpusimbench.recorder.simulators.slots import Shapes, Slot, Slots
+
+COUNTED = 5
+"""Kinds of counts of a step: see evidence_of."""
 
 
 class WarpSlots(Slots):
@@ -41,9 +50,29 @@ class WarpSlots(Slots):
         wp.synchronize_event(event)
 
 
+def count_misplaced(model: Any, data: Any, row: Any, counts: Any) -> None:
+    """Enqueue: add the misplaced contacts of a mujoco_warp.Data to counts[row[0], world], which are zero."""
+    import warp as wp
+
+    from gpusimbench.recorder.simulators.warp import kernels
+
+    found = data.contact
+    wp.launch(
+        kernels.count_misplaced,
+        dim=found.worldid.shape[0],
+        inputs=[row, data.nacon, found.worldid, found.geom, found.pos, found.dist, data.geom_xpos, model.geom_rbound],
+        outputs=[counts],
+    )
+
+
 def evidence_of(counts: NDArray[np.int32]) -> Evidence:
-    """From counts [step, kind, env]: contacts, constraint rows, iterations, overflow bits."""
+    """From counts [step, kind, env]: contacts, constraint rows, iterations, overflow bits, misplaced contacts."""
     return Evidence(
-        {CONTACTS.name: counts[:, 0], CONSTRAINT_ROWS.name: counts[:, 1], SOLVER_ITERATIONS.name: counts[:, 2]},
+        {
+            CONTACTS.name: counts[:, 0],
+            CONSTRAINT_ROWS.name: counts[:, 1],
+            SOLVER_ITERATIONS.name: counts[:, 2],
+            MISPLACED_CONTACTS.name: counts[:, 4],
+        },
         overflow=counts[:, 3].astype(np.uint32),
     )

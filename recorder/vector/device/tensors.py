@@ -15,8 +15,7 @@ from gpusimbench.recorder.vector.device.history import INFO, Which
 from gpusimbench.recorder.vector.device.log import About, DeviceLog, HostLog
 from gpusimbench.recorder.vector.device.torch_rows import TorchRows
 from gpusimbench.recorder.vector.ending import Ending
-from gpusimbench.recorder.vector.fields import GIVEN, Images
-from gpusimbench.recorder.vector.infos import FINAL_INFO
+from gpusimbench.recorder.vector.fields import FINAL_INFO, GIVEN, Images
 from gpusimbench.recorder.vector.modes import FINAL, Mode, final_name, five, mode_of
 from gpusimbench.recorder.vector.origin import seed_of
 from gpusimbench.schemas.errors import UsageError

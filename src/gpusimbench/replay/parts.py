@@ -11,10 +11,8 @@ import numpy as np
 
 from gpusimbench.evaluator.read.episodes import episode_table, episodes, has_episodes, rows_of
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.recorder.vector.fields import GIVEN, field_of
-from gpusimbench.recorder.vector.infos import array_name
-from gpusimbench.recorder.vector.origin import STATED, SUITED, VECTORIZED
-from gpusimbench.recorder.vector.part import ACTION, GivenEpisode, State
+from gpusimbench.recorder.vector.fields import GIVEN, array_name, field_of
+from gpusimbench.recorder.vector.origin import ACTION, STATED, SUITED, VECTORIZED, GivenEpisode, State
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
 from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.vector import MODELS, PHYSICS, SEEDS

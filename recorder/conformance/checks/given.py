@@ -1,4 +1,5 @@
-"""Environments whose masses, frictions and sizes differ, held against scenes that are written with these parameters."""
+"""What environments are given arrives in the engine: parameters that differ between them, held against scenes that are
+written with these; and actions, as they were drawn."""
 
 from __future__ import annotations
 
@@ -7,14 +8,15 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import VARIED, listed, titles
 from gpusimbench.recorder.conformance.checks.agreement import differences, expect_repeatable
-from gpusimbench.recorder.conformance.frames import drift, local
 from gpusimbench.recorder.conformance.scene import DT, N_STEP, G
 from gpusimbench.recorder.conformance.subject import SEED, Subject
-from gpusimbench.recorder.conformance.verdict import NotApplicable, fail
+from gpusimbench.recorder.conformance.trajectory import drift, local
+from gpusimbench.recorder.conformance.verdict import NotApplicable, expect, fail
 from gpusimbench.recorder.run import vary
 from gpusimbench.recorder.scenes.base import Body, Box, Material, Scene, Sphere
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.schemas.action_generator import Streams
 
 _ENVS = 2
 _SPREADS = {"mass": 0.5, "friction": 0.5, "size": 0.05}
@@ -115,3 +117,42 @@ def _farthest(description: Description, one: States, other: States) -> tuple[str
             found += zip(most.tolist(), layout.items, strict=True)
     apart_by, body = max(found)
     return body, apart_by
+
+
+_BLOCKS = (3, 2)
+_OTHERS = Streams(np.array([1, 0], dtype=np.uint32), np.array([0, _BLOCKS[0]], dtype=np.uint32))
+
+
+def actions_are_those_drawn(subject: Subject) -> None:
+    """applied gives the joint targets of the last step, bit for bit, also where environments are given the actions of
+    others, which begin anew; and each environment's arm moves its own way."""
+    scene = next((scene for scene in subject.scenes if scene.actions is not None), None)
+    if scene is None or scene.actions is None:
+        raise NotApplicable("the adapter has not the abilities that any built-in scene with actions needs")
+    targets = scene.actions
+    with subject.built(scene, n_env=_ENVS) as (simulator, description):
+        before = tuple(np.array(array) for array in simulator.state())
+        simulator.compile("timed")
+        done = 0
+        for count, streams in zip(_BLOCKS, (simulator.streams, _OTHERS), strict=True):
+            simulator.streams = streams
+            drawn = targets.draw(SEED, n_env=_ENVS, first_step=done, n_step=count, streams=streams)
+            simulator.prepare(None if simulator.draws_actions else drawn)
+            simulator.step(count)
+            done += count
+            applied = simulator.applied()
+            if applied is not None:
+                expect(applied.shape == drawn[-1].shape, f"applied() is {applied.shape}, not {drawn[-1].shape}")
+                expect(
+                    np.array_equal(applied, drawn[-1]),
+                    f"applied() after step {done - 1} differs from the targets drawn, by "
+                    f"{np.abs(applied - drawn[-1]).max():.3g} rad",
+                )
+        after = tuple(np.array(array) for array in simulator.state())
+    for layout, was, now in zip(description.fields, before, after, strict=True):
+        expect(bool(np.isfinite(now).all()), f"{layout.name} is not finite after {done} steps")
+        if layout.field == "qpos":
+            expect(bool((now != was).any(axis=(1, 2)).all()), f"the arm has not moved after {done} steps")
+            expect(not np.array_equal(now[0], now[1]), "two environments with different targets moved alike")
+    if applied is None:
+        raise NotApplicable("the engine cannot tell which actions it holds: applied() is None")
