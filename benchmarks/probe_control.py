@@ -5,7 +5,7 @@ none. Seeds, numbers of environments, spreads and steps differ from probe to pro
 its recordings, which a second process makes, in the calibration simulator's own environment (gsb-record --setup
 calibration); it records all of them, since a process of its own for each of a few thousand runs would take hours.
 
-    python -m benchmarks.probe_control [--probes 154] [--clean 154]         the counts of docs/probe.md
+    python -m benchmarks.probe_control [--probes 165] [--clean 165]         the counts of docs/probe.md
 """
 
 from __future__ import annotations
@@ -32,6 +32,9 @@ SIZES = (1, 4, 64, 4096)
 OUTCOMES = 1024
 """Of what a run draws, times the size: with two outcomes, half of all pairs of runs would be equal by chance."""
 
+SLOPE, LEVEL = "inclined-collision", "free-fall"
+"""Scenes. A slope is not its own image by a half turn, so that states are not turned there."""
+
 SOUND = {"regime": "exact"}
 """Options with which nothing depends on what should not matter."""
 
@@ -51,6 +54,7 @@ FOUND_BY = {
             "restored",
             "process",
             "mirrored",
+            "turned",
             "relabelled",
             "set",
         )
@@ -92,11 +96,20 @@ def probes(count: int, clean: int, seed: int = 0) -> Iterator[Probe]:
     for number in range(count + clean):
         planted = list(FOUND_BY)[number % len(FOUND_BY)] if number < count else ""
         ulps = SIZES[number // len(FOUND_BY) % len(SIZES)] if planted else 0
-        steps = drawn.randrange(30, 61)
+        steps, scene = drawn.randrange(30, 61), drawn.choice((SLOPE, LEVEL))
         yield Probe(
-            number, planted, ulps, drawn.choice(("inclined-collision", "free-fall")), drawn.randrange(2**32),
+            number, planted, ulps, LEVEL if planted == "turned" else scene, drawn.randrange(2**32),
             drawn.randrange(3, 9), steps, drawn.choice((0.03125, 0.25, 1.0)), drawn.randrange(1, steps // 3),
         )  # fmt: skip
+
+
+def as_it_should(probe: Probe, answers: dict[str, str]) -> bool:
+    """Whether a fault was found, or, where none was planted, every question that can be asked was answered yes."""
+    if probe.planted:
+        return answers[probe.planted] == "no"
+    return all(
+        said == ("not asked" if (key, probe.scene) == ("turned", SLOPE) else "yes") for key, said in answers.items()
+    )
 
 
 def plan_of(probe: Probe) -> Any:
@@ -129,6 +142,8 @@ def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
         if arm.continued:
             saved = (r.path for r in there if arm.continued in r.configuration.snapshots)
             found += [_continuing(path, arm.continued) for path in list(saved)[:1]]
+            continue
+        if probe.scene == SLOPE and arm.initial.endswith(",mirror:xy"):
             continue
         command_line = parser()
         arguments = command_line.parse_args(plan.arguments(arm, "."))
@@ -197,11 +212,11 @@ def table(results: Sequence[tuple[Probe, dict[str, str]]]) -> str:
             of = [answers for probe, answers in results if (probe.planted, probe.ulps) == (planted, size)]
             cells.append(f"{sum(answers[planted] == 'no' for answers in of)} of {len(of)}")
         lines.append(f"| {planted} | " + " | ".join(cells) + " |")
-    clean = [answers for probe, answers in results if not probe.planted]
-    found = [answers[probe.planted] == "no" for probe, answers in results if probe.planted]
-    said = Counter(answer for answers in clean for answer in answers.values())
+    clean = [(probe, answers) for probe, answers in results if not probe.planted]
+    found = [as_it_should(probe, answers) for probe, answers in results if probe.planted]
+    said = Counter(answer for _, answers in clean for answer in answers.values())
     lines.append(f"\nfound: {sum(found)} of {len(found)} planted faults")
-    false = sum(any(answer != "yes" for answer in answers.values()) for answers in clean)
+    false = sum(not as_it_should(probe, answers) for probe, answers in clean)
     drawn = [answers for probe, answers in results if probe.planted == "runs"]
     blamed = sum(any(answers[key] == "no" for key in FOUND_BY if key not in ("runs", "envs")) for answers in drawn)
     lines.append(f"blamed: {blamed} of {len(drawn)} probes whose runs differ say that something else matters")
@@ -220,7 +235,7 @@ def recorded_elsewhere(jobs: list[dict[str, Any]], file: Path) -> None:
 def main() -> None:
     """Plant, record, judge, count."""
     p = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
-    p.add_argument("--probes", type=int, default=154, help="with a fault (default: %(default)s)")
+    p.add_argument("--probes", type=int, default=165, help="with a fault (default: %(default)s)")
     p.add_argument("--clean", type=int, help="without a fault (default: as many)")
     p.add_argument("--record", type=Path, help=argparse.SUPPRESS)
     arguments = p.parse_args()
@@ -245,9 +260,7 @@ def main() -> None:
         print(table(results))
         print(f"{made} runs, {time.monotonic() - began:.0f} s")
         for probe, answers in results:
-            missed = probe.planted and answers[probe.planted] != "no"
-            false = not probe.planted and set(answers.values()) != {"yes"}
-            if missed or false:
+            if not as_it_should(probe, answers):
                 print(json.dumps({**asdict(probe), "answers": answers}), file=sys.stderr)
 
 

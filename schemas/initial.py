@@ -18,8 +18,8 @@ GIVEN = "initial.npz"
 """Attachment with the states that a run was given to begin with, as of schemas.arrays."""
 
 AXES = ("x", "y", "xy")
-"""Coordinates whose signs change in mirror images (schemas.symmetry): x in the plane x = 0, y in the plane y = 0, and
-both by a half turn about z."""
+"""Coordinates whose signs change in images (schemas.symmetry): x in the plane x = 0, y in the plane y = 0, and both by
+a half turn about z."""
 
 ORDERS = ("reverse",)
 """Orders in which identical bodies get each other's states (schemas.symmetry)."""
@@ -50,14 +50,14 @@ class InitialKind:
     value   what stands for VALUE in messages
     does    in words
     read    VALUE from its text; ValueError where it is none
-    probed  VALUE that gsb-probe takes, of so many environments; None: there is nothing to ask
+    probed  VALUEs that gsb-probe takes, of so many environments, a run each; empty: there is nothing to ask
     """
 
     name: str
     value: str
     does: str
     read: Callable[[str], int | str]
-    probed: Callable[[int], int | str | None]
+    probed: Callable[[int], Sequence[int | str]]
 
     @property
     def form(self) -> str:
@@ -68,19 +68,19 @@ class InitialKind:
 _DRAWN_STATES = (
     InitialKind(
         "shift", "K", "begins each environment as the one K slots further", int,
-        probed=lambda n_env: max(1, n_env // 3) if n_env > 1 else None,
+        probed=lambda n_env: (max(1, n_env // 3),) if n_env > 1 else (),
     ),
     InitialKind(
         "but", "E", "begins all environments but E in other states", int,
-        probed=lambda n_env: 0 if n_env > 1 else None,
+        probed=lambda n_env: (0,) if n_env > 1 else (),
     ),
     InitialKind(
-        "mirror", "AXES", f"begins all environments in mirror images ({', '.join(AXES)}: signs that change)",
-        _one_of(AXES), probed=lambda n_env: "y",
+        "mirror", "AXES", "begins all environments in mirror images (x, y), or turned by a half turn (xy)",
+        _one_of(AXES), probed=lambda n_env: ("y", "xy"),
     ),
     InitialKind(
         "relabel", "ORDER", f"begins identical bodies with each other's states ({', '.join(ORDERS)})", _one_of(ORDERS),
-        probed=lambda n_env: "reverse",
+        probed=lambda n_env: ORDERS,
     ),
 )  # fmt: skip
 INITIAL_KINDS = {kind.name: kind for kind in _DRAWN_STATES}
@@ -95,7 +95,8 @@ class Initial:
     spread  around the scene's first state [m/s or rad]
     shift   environment e begins as environment e + shift does without it, modulo their number: ",shift:K"
     but     all environments but this one begin otherwise than without it: ",but:E"; None: all as without it
-    mirror  all environments begin in the mirror images of these states, as of AXES: ",mirror:AXES"
+    mirror  all environments begin in the images of these states by a reflection or a half turn, as of AXES:
+            ",mirror:AXES"
     relabel identical bodies exchange these states, in an order of ORDERS: ",relabel:ORDER"
     """
 

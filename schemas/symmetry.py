@@ -20,15 +20,29 @@ from gpusimbench.schemas.initial import Initial
 
 _POLAR = ("position", "linear_velocity")
 _AXIAL = ("angular_velocity", "orientation")
-_SHAPES = ("box", "sphere", "capsule", "plane")  # each its own mirror image in its own axes
+_SHAPES = ("box", "sphere", "capsule", "plane")  # each its own image in its own axes
 
 
 @dataclass(frozen=True)
 class Mirror:
-    """A reflection, or a half turn about z; see Symmetry.
+    """A reflection in a vertical plane through the origin of an environment, or the half turn about the vertical axis
+    there, which is two such reflections; see Symmetry.
+
+    Both change signs alone, so they are exact, and rounding to nearest commutes with them. With S the diagonal matrix
+    of the signs, of a body that is its own image in its own axes, as boxes, spheres and capsules are:
+
+        position, linear velocity    S p
+        rotation matrix R            S R S: the body's axes are mirrored or turned too. S R is left-handed after a
+                                     reflection; after a half turn, its quaternion exchanges components, which an
+                                     engine rounds otherwise
+        angular velocity             det(S) S w, as of an axial vector: skew(w) becomes S skew(w) S
+        quaternion (c, u)            (c, det(S) S u): of R's axis and angle, the axis is axial, the angle stays
+
+    A zero is its own image, without a sign: exact cancellation gives +0.0 on both sides, so IEEE arithmetic itself does
+    not mirror the sign of a zero.
 
     axes     as of schemas.initial.AXES
-    why_not  why the scene is not its own mirror image; empty where it is
+    why_not  why the scene is not its own image; empty where it is
     """
 
     axes: str
@@ -38,33 +52,37 @@ class Mirror:
     def of(cls, scene: Mapping[str, Any], axes: str) -> Mirror:
         """That of a scene, described as in scene.json."""
         why = why_unlike_its_image(scene, axes)
-        return cls(axes, why and f"is not its own mirror image: {why}")
+        return cls(axes, why and f"is not its own {_image(axes)}: {why}")
 
     @property
     def words(self) -> str:
         """The plane or axis."""
-        return f"mirrored in the {'z axis, by a half turn' if self.axes == 'xy' else f'plane {self.axes} = 0'}"
+        return "turned by a half turn about z" if self.axes == "xy" else f"mirrored in the plane {self.axes} = 0"
 
     def why_unknown(self, layout: StateField) -> str:
-        """Why a field has no known mirror image: joints have none."""
-        return "" if can_mirror(layout.field) else f"the mirror image of {layout.name} is not known"
+        """Why a field has no known image: joints have none."""
+        return "" if can_mirror(layout.field) else f"the {_image(self.axes)} of {layout.name} is not known"
 
     def image(self, layout: StateField, values: NDArray[Any]) -> NDArray[Any]:
-        """The mirror image of a field's numbers [..., item, component], zeros without a sign."""
+        """The image of a field's numbers [..., item, component], zeros without a sign."""
         return mirrored(layout.field, values, self.axes)
 
     def point(self, positions: NDArray[Any]) -> NDArray[Any]:
-        """The mirror images of points [..., xyz] [m]."""
+        """The images of points [..., xyz] [m]."""
         return mirrored("position", positions, self.axes)
 
 
+def _image(axes: str) -> str:
+    return "half-turn image" if axes == "xy" else "mirror image"
+
+
 def can_mirror(field: str) -> bool:
-    """Whether a state field has a mirror image that is known here; joints have none."""
+    """Whether a state field has an image that is known here; joints have none."""
     return field in (*_POLAR, *_AXIAL)
 
 
 def mirrored(field: str, values: NDArray[Any], axes: str) -> NDArray[Any]:
-    """The mirror image of a state field's numbers [..., component], orientations wxyz, exact, zeros without a sign.
+    """The image of a state field's numbers [..., component], orientations wxyz, exact, zeros without a sign.
 
     axes  of schemas.initial.AXES
     """
@@ -77,20 +95,20 @@ def mirrored(field: str, values: NDArray[Any], axes: str) -> NDArray[Any]:
 
 
 def why_unlike_its_image(scene: Mapping[str, Any], axes: str) -> str:
-    """Why a scene, described as in scene.json, is not its own mirror image; empty where it is.
+    """Why a scene, described as in scene.json, is not its own image; empty where it is.
 
-    Its fixed bodies must be those of the mirror image, to the last bit, in any order: each its own image, or that of
-    another. Of moving bodies only the shape matters, for their states are mirrored with them.
+    Its fixed bodies must be those of the image, to the last bit, in any order: each its own image, or that of another.
+    Of moving bodies only the shape matters, for their states are mirrored or turned with them.
     """
     for part, words in (("files_sha256", "a model file"), ("robot", "a robot"), ("actions", "actions")):
         if scene.get(part):
-            return f"it has {words}, whose mirror image is not known"
+            return f"it has {words}, whose {_image(axes)} is not known"
     try:
         gravity = np.array(scene["gravity"], dtype=np.float64)
         bodies = [(str(body["name"]), str(body["shape"]["kind"]), body) for body in scene["bodies"]]
         fixed = [(name, _pose(body), body) for name, _, body in bodies if body.get("mass") is None]
         if odd := next((name for name, shape, _ in bodies if shape not in _SHAPES), ""):
-            return f"the mirror image of the shape of '{odd}' is not known"
+            return f"the {_image(axes)} of the shape of '{odd}' is not known"
         if not np.array_equal(mirrored("position", gravity, axes), gravity):
             return "gravity is not along z"
         left = list(fixed)
@@ -98,7 +116,7 @@ def why_unlike_its_image(scene: Mapping[str, Any], axes: str) -> str:
             image = mirrored("position", position, axes), mirrored("orientation", orientation, axes)
             found = next((at for at, one in enumerate(left) if _same(image, body, one[1], one[2])), None)
             if found is None:
-                return f"no fixed body is the mirror image of '{name}'"
+                return f"no fixed body is the {_image(axes)} of '{name}'"
             left.pop(found)
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
         return "its description cannot be read"

@@ -40,9 +40,9 @@ _QUICK_NUMBERS = (1, 2, 64)
 _EPILOG = """\
 Each question is about something that should not matter: whether the same run comes out again, how many environments
 there are, in which slot an environment stands, what its neighbours do, whether others were reset, whether a state was
-saved and restored on the way, whether all is mirrored, whether identical bodies change places. gsb-probe records
-about 20 short runs, each of which differs from a reference run in one of these alone, and compares them bit by bit.
-If two differ, both are recorded again, to tell whether runs of the same configuration differ, too. "no" names the
+saved and restored on the way, whether all is mirrored or turned, whether identical bodies change places. gsb-probe
+records about 20 short runs, each of which differs from a reference run in one of these alone, and compares them bit by
+bit. If two differ, both are recorded again, to tell whether runs of the same configuration differ, too. "no" names the
 first step, environment, body and number that differs, and how far apart bodies get. "open" means that runs of the
 same configuration differ, too, so that nothing can be said of the cause.
 
@@ -50,8 +50,8 @@ The recordings lie in --out; a probe that was interrupted goes on where it stopp
 --sim nothing is recorded: the answers are those of the recordings.
 
 exit codes:
-  0  answered; with --gate, every answer is yes, those about the device, mirrored and set states and identical
-     bodies aside
+  0  answered; with --gate, every answer is yes, those about the device, mirrored, turned and set states and
+     identical bodies aside
   1  a run could not be recorded
   2  wrong usage
   3  a recording is damaged

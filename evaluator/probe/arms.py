@@ -27,7 +27,7 @@ class Arms:
     plain     environments that begin alike, and are left alone
     varied    environments that begin differently, and are left alone; `spread` as in their configurations
     by_number the same with other numbers of environments
-    otherwise the same, where environments begin otherwise, by kind of initial states
+    otherwise the same, where environments begin otherwise, with how they begin
     treated   as `varied`, by kind of intervention
     continued a run that saved a snapshot, and one that began with the snapshot in a process of its own
     repeated  runs of one treatment, of each that has several
@@ -41,7 +41,7 @@ class Arms:
     plain: tuple[Recording, ...]
     varied: tuple[Recording, ...]
     by_number: dict[int, Recording]
-    otherwise: dict[str, Recording]
+    otherwise: dict[Recording, Initial]
     treated: dict[str, Recording]
     continued: tuple[Recording, Recording] | None
     repeated: tuple[tuple[Recording, ...], ...]
@@ -147,7 +147,7 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
         tuple(r for r in alone if not r.configuration.initial and r.configuration.n_env == n_env),
         tuple(r for r in same if r in alone and r.configuration.n_env == n_env),
         {r.configuration.n_env: r for r in reversed(same) if r in alone and r.configuration.n_env != n_env},
-        {initial.kind: r for r, initial in reversed(usual_size.items()) if initial.kind},
+        {r: initial for r, initial in usual_size.items() if initial.kind},
         {done.name: r for r in reversed(treated) if (done := Intervention.of(r.configuration.intervention))},
         _continued(good),
         tuple(tuple(runs) for runs in by_treatment.values() if len(runs) > 1),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from textwrap import shorten
 
 import numpy as np
@@ -104,15 +104,26 @@ def _beside(arms: Arms, kind: str) -> tuple[Recording, Recording, Intervention] 
     return treated if isinstance(treated, Missing) else (base, *treated)
 
 
-def _begun_otherwise(arms: Arms, kind: str) -> tuple[Recording, Recording, Initial] | Missing:
-    """A run that began with the usual states, and one that began with others of this kind."""
-    base, found = first_of(arms.varied), arms.otherwise.get(kind)
+def _begun_otherwise(
+    arms: Arms, kind: str, values: Sequence[str] = ()
+) -> tuple[Recording, Recording, Initial] | Missing:
+    """A run that began with the usual states, and one that began with others of this kind.
+
+    values  of the kind, of which it has one, the usual one first; empty: any
+    """
+    base = first_of(arms.varied)
     if isinstance(base, Missing):
         return base
+
+    def such(begins: str) -> bool:
+        return f",{kind}:" in begins and (not values or begins.rpartition(":")[2] in values)
+
+    found = next(((run, initial) for run, initial in arms.otherwise.items() if such(str(initial))), None)
     if found is None:
-        why = next((why for how, why in arms.failed.items() if f",{kind}:" in how), "")
-        return Missing(f"its run is {why}" if why else f"needs a run with --initial {INITIAL_KINDS[kind].form}")
-    return base, found, Initial.parse(found.configuration.initial)
+        why = next((why for how, why in arms.failed.items() if any(map(such, how.split()))), "")
+        form = f"random:SPREAD,{kind}:{values[0]}" if values else INITIAL_KINDS[kind].form
+        return Missing(f"its run is {why}" if why else f"needs a run with --initial {form}")
+    return base, *found
 
 
 def ask_runs(arms: Arms) -> Asked | Missing:
@@ -196,19 +207,18 @@ def ask_neighbours(arms: Arms) -> Asked | Missing:
     return decided_alone(compare_pairs(Pairs(base, others, same_slots([initial.but]))), compared)
 
 
-def image_goes_on(kind: str) -> Callable[[Arms], Asked | Missing]:
+def image_goes_on(kind: str, *values: str) -> Callable[[Arms], Asked | Missing]:
     """The question of all environments, that begin in images of their initial states by a symmetry of the scene.
 
-    kind  of schemas.initial.INITIAL_KINDS
+    kind    of schemas.initial.INITIAL_KINDS
+    values  of the kind that ask this, that of gsb-probe first
     """
 
     def ask(arms: Arms) -> Asked | Missing:
-        base, both = first_of(arms.varied), _begun_otherwise(arms, kind)
+        base, both = first_of(arms.varied), _begun_otherwise(arms, kind, values)
         if isinstance(base, Missing):
             return base
-        probed = INITIAL_KINDS[kind].probed(arms.n_env)
-        assert probed is not None
-        initial = Initial(1.0).of_kind(kind, probed) if isinstance(both, Missing) else both[2]
+        initial = Initial(1.0).of_kind(kind, values[0]) if isinstance(both, Missing) else both[2]
         symmetry = symmetry_of(initial, base.scene, arms.key.told["vary"])
         assert symmetry is not None
         if symmetry.why_not:

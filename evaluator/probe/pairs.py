@@ -177,7 +177,7 @@ def _incomparable(pairs: Pairs) -> str:
     in_world = any(f.field == "position" and f.frame == "world" for f in a.fields)
     places = np.array(origins[0]).reshape(-1, 3)
     if in_world and pairs.symmetry and not np.array_equal(pairs.symmetry.point(places), places):
-        return "environments stand at origins beside the mirror's plane, so that images are rounded otherwise"
+        return "environments stand at origins beside the mirror's plane or axis, so that images are rounded otherwise"
     if in_world and any(_origin(origins[0], e) != _origin(origins[1], f) for e, f in pairs.envs):
         return "they stand at different origins, so that their positions cannot be compared by bits"
     if set(a.action_names) != set(b.action_names) or any(_other_actions(pairs, name) for name in a.action_names):

@@ -121,8 +121,9 @@ QUESTIONS = (
         goes_on("excursion", "saved at step {step}, {more} further steps, restored"),
     ),
     Question("process", "a snapshot goes on in another process as before", ask_process),
-    Question("mirrored", "a mirrored state goes on as the mirrored one", image_goes_on("mirror"), gate=False),
-    Question("relabelled", "identical bodies are interchangeable", image_goes_on("relabel"), gate=False),
+    Question("mirrored", "a mirrored state goes on as the mirrored one", image_goes_on("mirror", "y", "x"), gate=False),
+    Question("turned", "a turned state goes on as the turned one", image_goes_on("mirror", "xy"), gate=False),
+    Question("relabelled", "identical bodies are interchangeable", image_goes_on("relabel", "reverse"), gate=False),
     Question("device", "independent of the device", ask_devices, gate=False, asked_of_few=True),
     Question(
         "set", "positions and velocities are the whole state",

@@ -124,7 +124,7 @@ class Plan:
         yield from (plain, usual)
         yield from (Arm(n, str(varied)) for n in self.numbers if n != self.n_env)
         for changed in INITIAL_KINDS.values():
-            if (value := changed.probed(self.n_env)) is not None:
+            for value in changed.probed(self.n_env):
                 yield Arm(self.n_env, str(varied.of_kind(changed.name, value)))
         for kind in KINDS.values():
             intervention = Intervention(kind.name, at, more if kind.more else 0)

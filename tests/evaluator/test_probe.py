@@ -78,8 +78,9 @@ def _world(arm: Arm, planted: Planted | None) -> Callable[[NDArray[Any], int], N
                 found[env] = np.nan
                 continue
             found[env] += np.float32(0.001) * age * np.sin(np.arange(27, dtype=np.float32) + who)[:, None]
-        if arm.initial and "y" in Initial.parse(arm.initial).mirror:
-            found[..., 1] = -found[..., 1]
+        for at, axis in enumerate("xyz"):
+            if arm.initial and axis in Initial.parse(arm.initial).mirror:
+                found[..., at] = -found[..., at]
         if arm.initial and Initial.parse(arm.initial).relabel:
             found = found[:, ::-1].copy()
         if planted is not None:
@@ -111,8 +112,8 @@ def _write(
 
 
 def _probe(folder: Path, planted: dict[int, Planted] | None = None) -> dict[str, Finding]:
-    """Answers to recordings of the plan; `planted` by place in it."""
-    recordings = [_write(folder, arm, (planted or {}).get(index)) for index, arm in enumerate(ARMS)]
+    """Answers to recordings of the plan, in a scene without a slope; `planted` by place in it."""
+    recordings = [_write(folder, arm, (planted or {}).get(at), scene="free-fall") for at, arm in enumerate(ARMS)]
     (arms,) = arms_of(recordings)
     return {finding.key: finding for finding in answers(arms)}
 
@@ -127,11 +128,11 @@ def _moved(env: int, body: int, step: int, ulps: int = 1) -> Planted:
 
 
 ARMS = [arm for arm in PLAN.arms() if not arm.snapshot and not arm.continued]
-"""plain, usual, 1, 2 and 8 environments, shifted, all but one, mirrored, relabelled, one a kind of intervention, usual,
-plain."""
+"""plain, usual, 1, 2 and 8 environments, shifted, all but one, mirrored, turned, relabelled, one a kind of
+intervention, usual, plain."""
 
 TREATED = {done.name: at for at, arm in enumerate(ARMS) if (done := Intervention.of(arm.intervention))}
-MIRRORED = next(at for at, arm in enumerate(ARMS) if "mirror" in arm.initial)
+MIRRORED, TURNED = (at for at, arm in enumerate(ARMS) if "mirror" in arm.initial)
 RELABELLED = next(at for at, arm in enumerate(ARMS) if "relabel" in arm.initial)
 USUAL_AGAIN, PLAIN_AGAIN = len(ARMS) - 2, len(ARMS) - 1
 
@@ -167,6 +168,7 @@ def test_nothing_planted(tmp_path: Path) -> None:
         (5, 1, 4, "slot", 2),
         (6, 0, 6, "neighbours", 0),
         (MIRRORED, 3, 8, "mirrored", 3),
+        (TURNED, 1, 6, "turned", 1),
         (RELABELLED, 2, 9, "relabelled", 2),
         (TREATED["poison"], 2, AT + 2, "poison", 2),
         (TREATED["reset"], 1, AT + 2, "bystanders", 1),
@@ -210,8 +212,12 @@ def test_a_sign_planted(tmp_path: Path) -> None:
     assert "ULP" not in said
 
 
-def test_mirror_images(tmp_path: Path) -> None:
-    """Compare a mirrored run with the mirror image of the usual one: zeros have no sign, and everything else counts."""
+@pytest.mark.parametrize(
+    ("index", "key", "words"),
+    [(MIRRORED, "mirrored", "mirrored in the plane y = 0"), (TURNED, "turned", "turned by a half turn about z")],
+)
+def test_mirror_images(tmp_path: Path, index: int, key: str, words: str) -> None:
+    """Compare images with the mirrored or turned run: zeros have no sign, and everything else counts."""
 
     def zeros(sign: float) -> Planted:
         def plant(positions: NDArray[Any], now: int) -> None:
@@ -219,17 +225,17 @@ def test_mirror_images(tmp_path: Path) -> None:
 
         return plant
 
-    arms = {at: zeros(-1.0) for at in (1, USUAL_AGAIN)} | {MIRRORED: zeros(-1.0)}
-    asked = _probe(tmp_path / "zeros", arms)["mirrored"]
+    arms = {at: zeros(-1.0) for at in (1, USUAL_AGAIN)} | {index: zeros(-1.0)}
+    asked = _probe(tmp_path / "zeros", arms)[key]
     assert asked.answer is Answer.YES
     assert evidence(asked) == f"bit-identical: {PLAN.n_env} pairs, {PLAN.steps + 1} steps"
-    assert asked.compared == "the same initial states, mirrored in the plane y = 0"
+    assert asked.compared == f"the same initial states, {words}"
 
     def unmirrored(positions: NDArray[Any], now: int) -> None:
         if now >= 5:
             positions[1, 7, 1] *= -1
 
-    found = _probe(tmp_path / "sides", {MIRRORED: unmirrored})["mirrored"]
+    found = _probe(tmp_path / "sides", {index: unmirrored})[key]
     assert found.answer is Answer.NO and found.found is not None and found.found.first is not None
     assert (found.found.differing, found.found.first_step, found.found.first.signs_differ) == (1, 5, True)
 
@@ -247,13 +253,19 @@ def test_mirror_images_that_are_not_asked(tmp_path: Path) -> None:
     reason = partial(_why_not_asked, "mirrored")
 
     tilted = changing(SCENE, gravity=[0.0, 1.0, -9.81])
-    assert reason(_write(tmp_path, usual)) == "needs a run with --initial random:SPREAD,mirror:AXES"
+    assert reason(_write(tmp_path, usual)) == "needs a run with --initial random:SPREAD,mirror:y"
     both = [_write(tmp_path / "tilted", arm, also=tilted) for arm in (usual, mirrored)]
     why = "the scene is not its own mirror image: gravity is not along z"
     assert reason(*both) == reason(both[0]) == why
-    turned = replace(mirrored, initial=mirrored.initial.replace(":y", ":xy"))
-    half = [_write(tmp_path / "half", arm) for arm in (usual, turned)]
-    assert reason(*half) == "the scene is not its own mirror image: no fixed body is the mirror image of 'board'"
+    across = [_write(tmp_path / "across", arm) for arm in (usual, replace(mirrored, initial="random:0.25,mirror:x"))]
+    why = "the scene is not its own mirror image: no fixed body is the mirror image of 'board'"
+    assert reason(*across) == why
+    half = [_write(tmp_path / "half", arm) for arm in (usual, ARMS[TURNED])]
+    why = "the scene is not its own half-turn image: no fixed body is the half-turn image of 'board'"
+    assert _why_not_asked("turned", *half) == _why_not_asked("turned", half[0]) == why
+    level = _write(tmp_path / "level", usual, scene="free-fall")
+    assert _why_not_asked("turned", level) == "needs a run with --initial random:SPREAD,mirror:xy"
+    assert reason(*half) == "needs a run with --initial random:SPREAD,mirror:y"
     for axis, apart in ((0, False), (1, True)):
         origins = tuple(tuple(4.0 * env * (at == axis) for at in range(3)) for env in range(PLAN.n_env))
         one, other = (_write(tmp_path / str(axis), arm, origins=origins) for arm in (usual, mirrored))
@@ -295,7 +307,7 @@ def test_identical_bodies_that_are_not_asked(tmp_path: Path) -> None:
     reason = partial(_why_not_asked, "relabelled")
 
     old = _write(tmp_path, usual)
-    assert reason(old) == "needs a run with --initial random:SPREAD,relabel:ORDER"
+    assert reason(old) == "needs a run with --initial random:SPREAD,relabel:reverse"
     weights = [{**body, "mass": body.get("mass") and at + 1.0} for at, body in enumerate(old.scene["bodies"])]
     both = [_write(tmp_path / "weights", arm, also=changing(SCENE, bodies=weights)) for arm in (usual, relabelled)]
     assert reason(*both) == reason(both[0]) == "the scene has no two identical bodies that move"
@@ -504,8 +516,8 @@ def _probed(folder: Path) -> None:
         "gsb-probe", "--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", folder / "out",
         "--json", folder / "answers.json", code=0,
     )  # fmt: skip
-    assert len(done.stdout.splitlines()) <= 25
-    asked = sum(not question.asked_of_few for question in QUESTIONS)
+    assert len(done.stdout.splitlines()) <= 27
+    asked = sum(not question.asked_of_few for question in QUESTIONS) - 1  # no half turns on a slope
     no = (
         "a mirrored state goes on as the mirrored one, identical bodies are interchangeable, positions and velocities "
         "are the whole state"

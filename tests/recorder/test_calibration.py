@@ -170,18 +170,23 @@ def test_what_a_reset_moves(fault: str, moved: list[int]) -> None:
     assert set(apart[moved, 26, 0].tolist()) == ({5} if moved else set())
 
 
-@pytest.mark.parametrize("scene", ["inclined-collision", "free-fall"])
 @pytest.mark.parametrize(
-    ("symmetry", "differs"),
-    [("relabel:reverse", (True, False, True)), ("mirror:y", (False, False, False))],
+    ("scene", "symmetry", "differs"),
+    [
+        ("inclined-collision", "relabel:reverse", (True, False, True, True)),
+        ("free-fall", "relabel:reverse", (True, False, True, True)),
+        ("inclined-collision", "mirror:y", (False, False, False, False)),
+        ("free-fall", "mirror:y", (False, False, False, False)),
+        ("free-fall", "mirror:xy", (False, False, False, True)),
+    ],
 )
 def test_symmetries(scene: str, symmetry: str, differs: tuple[bool, ...]) -> None:
     """Step exchanged states of identical bodies to the exchanged states, if sums of forces are exact, and to others if
     they are rounded in the order of the bodies' numbers, or if a fault tells bodies apart by number; mirror images are
-    stepped to mirror images by all of these."""
+    stepped to mirror images by all of these, and turned states to turned states, if no fault tells directions apart."""
     found = []
-    faulty = {"regime": "exact", "fault": "relabelled", "ulps": 1, "at": 3}
-    for options in ({"regime": "identical"}, {"regime": "exact"}, faulty):
+    faulty: list[Json] = [{"regime": "exact", "fault": name, "ulps": 1, "at": 3} for name in ("relabelled", "turned")]
+    for options in ({"regime": "identical"}, {"regime": "exact"}, *faulty):
         simulator, description = build(scene=scene, **options)
         begun = drawn_states(Initial(0.3), simulator.scene, description.fields, simulator.state(), 0)
         changed = symmetry_of(Initial.parse(f"random:0.3,{symmetry}"), json.loads(simulator.scene.to_json()))

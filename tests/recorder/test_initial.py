@@ -133,12 +133,12 @@ def test_mirror_images(recorded: tuple[Path, Path], gsb_record: Command, tmp_pat
 
 def test_scenes_without_mirror_images(gsb_record: Command, tmp_path: Path) -> None:
     """Refuse to mirror states among fixed bodies that are not mirrored, and say which."""
-    for scene, axes, why in (
-        ("franka", "y", "it has a robot, whose mirror image is not known"),
-        ("inclined-collision", "xy", "no fixed body is the mirror image of 'board'"),
+    for scene, axes, image, why in (
+        ("franka", "y", "mirror image", "it has a robot, whose mirror image is not known"),
+        ("inclined-collision", "xy", "half-turn image", "no fixed body is the half-turn image of 'board'"),
     ):
         asked = ("--sim", "mujoco", "--scene", scene, "--initial", f"random:0.1,mirror:{axes}", "--out", tmp_path)
-        assert f"scene '{scene}' is not its own mirror image: {why}" in gsb_record(*asked, code=2).stderr
+        assert f"scene '{scene}' is not its own {image}: {why}" in gsb_record(*asked, code=2).stderr
 
 
 def test_images_beside_origins() -> None:

@@ -28,11 +28,14 @@ def _skew(w: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def test_in_the_plane_of_the_probe() -> None:
-    """Change these signs in the plane y = 0, and no others."""
+    """Change these signs in the plane y = 0, and by a half turn, and no others."""
     assert mirrored("position", np.array([1.0, 2.0, 3.0]), "y").tolist() == [1, -2, 3]
     assert mirrored("linear_velocity", np.array([1.0, 2.0, 3.0]), "y").tolist() == [1, -2, 3]
     assert mirrored("angular_velocity", np.array([1.0, 2.0, 3.0]), "y").tolist() == [-1, 2, -3]
     assert mirrored("orientation", np.array([1.0, 2.0, 3.0, 4.0]), "y").tolist() == [1, -2, 3, -4]
+    for field in ("position", "linear_velocity", "angular_velocity"):  # a half turn keeps handedness
+        assert mirrored(field, np.array([1.0, 2.0, 3.0]), "xy").tolist() == [-1, -2, 3]
+    assert mirrored("orientation", np.array([1.0, 2.0, 3.0, 4.0]), "xy").tolist() == [1, -2, -3, 4]
 
 
 @pytest.mark.parametrize("axes", AXES)
@@ -81,6 +84,7 @@ def test_scenes() -> None:
     assert {unlike["y"][name] for name in robots} == {"it has a robot, whose mirror image is not known"}
     assert unlike["y"]["sliding-block"].startswith("no fixed body is the mirror image of 'plank-")
     assert unlike["x"]["inclined-collision"] == "no fixed body is the mirror image of 'board'"
+    assert unlike["xy"]["inclined-collision"] == "no fixed body is the half-turn image of 'board'"
 
 
 def _changed(**of_slope: Any) -> dict[str, Any]:
@@ -112,6 +116,10 @@ def test_walls_that_change_places() -> None:
         other = deepcopy(scene)
         other["bodies"][-1][part][key] = [1.0, 1.0, 1.0] if key == "size" else 0.123
         assert why_unlike_its_image(other, "y") == "no fixed body is the mirror image of 'left'"
+    left["position"], right["position"] = [0.2, 0.5, 0.0], [-0.2, -0.5, 0.0]
+    assert why_unlike_its_image(scene, "y") == "no fixed body is the mirror image of 'left'"
+    assert why_unlike_its_image(scene, "xy") == ""
+    left["position"][0] = right["position"][0] = 0.0
     scene["bodies"].append(left)  # twice, and its image once
     assert why_unlike_its_image(scene, "y") == "no fixed body is the mirror image of 'left'"
 

@@ -23,7 +23,7 @@ _TONES = {Answer.YES: Tone.GOOD, Answer.NO: Tone.BAD, Answer.OPEN: Tone.WARNING,
 _METHOD = (
     "Short runs that differ in one thing alone are compared bit by bit. Open: runs of the same configuration differ, "
     "too, so that nothing can be said of the cause. The answer no is no defect to the last question, and to those "
-    "about the device, mirrored states and identical bodies."
+    "about the device, mirrored states, turned states and identical bodies."
 )
 
 

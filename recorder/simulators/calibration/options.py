@@ -41,6 +41,7 @@ FAULTS = {
     "process": "what is restored in a process that has made no step is moved",
     "mirrored": "from step `at` on, an environment is moved after each step that leaves its last body with a velocity "
     "towards negative y",
+    "turned": "the same, with a velocity towards negative x",
     "relabelled": "at step `at`, all are moved",
     "set": "what is given a state after the first step is moved",
     "capture": "what is stepped without being captured is moved",
@@ -67,8 +68,8 @@ class CalibrationOptions:
     entropy   what a run that differs from others draws: run (anew in each process), build (anew in each build), or
               hexadecimal digits after the point of a number from 0 to 1
     fault     planted for gsb-probe, in regime identical or exact, of the size `ulps`: none, number, slot,
-              neighbours, poison, bystanders, fresh, restored, process, mirrored, relabelled, set or capture (FAULTS in
-              its options.py says what each does)
+              neighbours, poison, bystanders, fresh, restored, process, mirrored, turned, relabelled, set or capture
+              (FAULTS in its options.py says what each does)
     device    auto, cpu or cuda (the first GPU that CUDA shows)
 
     Without a shift in metres or ulps, the cause of differences is rounding.

@@ -16,6 +16,7 @@ from gpusimbench.recorder.simulators.snapshot import Envs, rows_of
 
 _RING_ROWS = 50
 _RING_BYTES = 256 << 20
+_SIDES = {"mirrored": 1, "turned": 0}  # of faults, the component of a velocity whose sign decides
 _GRAIN = 2.0**-14  # [N]: sums are exact below 2^24 grains, 1024 N; a cube of inclined-collision weighs 0.05 N
 
 
@@ -169,8 +170,8 @@ class Fault:
         if self._name == "neighbours" and world.done >= self._at:
             words = np.roll(world.state()[1], -1, axis=0).view(np.uint32).reshape(self._n_env, -1)
             world.nudge((self._ulps * (np.bitwise_xor.reduce(_parity(words), axis=1))).astype(np.int32))
-        if self._name == "mirrored" and world.done >= self._at:
-            world.nudge((self._ulps * (world.state()[1][:, -1, 1] < 0)).astype(np.int32))
+        if self._name in _SIDES and world.done >= self._at:
+            world.nudge((self._ulps * (world.state()[1][:, -1, _SIDES[self._name]] < 0)).astype(np.int32))
 
     def after_uncaptured(self, world: Nudged) -> None:
         """Once steps were made that nobody captures."""
