@@ -445,3 +445,11 @@ def test_what_physx_complains_of_becomes_bits_and_gates() -> None:
     assert {bit.name for bit in OVERFLOW_BITS if mask >> bit.bit & 1} == {"CONTACT_BUFFER", "PATCH_BUFFER"}
     assert all(bit.fatal for bit in OVERFLOW_BITS)
     assert bits_of("the application needs to increase foundLostPairsCapacity to 5, otherwise") == 1 << 2
+
+
+def test_a_ball_that_falls_on_level_ground_keeps_to_its_line() -> None:
+    """Push nothing aside: the ground is level in every bit, and the ball bounces along the vertical."""
+    (position, *_) = states_of(make_scene("ball-drop"), 100)
+    ball = position[:, 0, 0]
+    assert np.ptp(ball[:, 2]) > 0.1
+    assert np.ptp(ball[:, :2], axis=0).tolist() == [0, 0]
