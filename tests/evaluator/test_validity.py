@@ -347,6 +347,7 @@ def test_misplaced_contacts_are_said_everywhere(tmp_path: Path) -> None:
     assert faults_anywhere(result, evaluation.results) == (f"{said} ({result.group.key.scene})",)
     assert "no: 1 of 2 runs: misplaced contacts" in " ".join(call("gsb-eval", *paths).stdout.split())
     assert said in table(evaluation)
+    assert "What is wrong with this set: 1 run with misplaced contacts" in " ".join(table(evaluation).split())
     assert said in part_of(render_html(evaluation, published=False, command=""), "validity")
     (group,) = to_json(evaluation)["groups"]
     assert group["faults"]["misplaced"] == said

@@ -152,6 +152,8 @@ def _state_of_the_set(evaluation: Evaluation) -> Item:
         verb = "is" if left_out == 1 else "are"
         parts.append(f"{plural(left_out, 'run')} of {len(runs)} failed, {verb} INVALID or lost data, and {verb} in no "
                      "figure")  # fmt: skip
+    if wrong := sum(r.validity.misplaced.n_run for r in evaluation.results if r.validity.misplaced):
+        parts.append(f"{plural(wrong, 'run')} with misplaced contacts")
     if count := evaluation.unmet.count:
         rules = len(evaluation.unmet.findings)
         parts.append(f"{plural(rules, 'rule')} of {PROTOCOL} not met ({plural(count, 'finding')})")
