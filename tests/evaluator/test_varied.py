@@ -201,9 +201,10 @@ def test_arms_of_files(arms: Path) -> None:
     (found,) = arms_of([Recording(place(str(path))) for path in files])
     assert found.key.told["vary"] == VARY
     assert found.varied
-    shifted, usual = found.otherwise["shift"].varied["mass"].values, found.varied[0].varied["mass"].values
+    otherwise = {initial.kind: run for run, initial in found.otherwise.items()}
+    shifted, usual = otherwise["shift"].varied["mass"].values, found.varied[0].varied["mass"].values
     assert np.array_equal(shifted, np.roll(usual, -1, axis=0))
-    but = found.otherwise["but"]
+    but = otherwise["but"]
     assert (but.varied["mass"].values == usual).all(axis=1).tolist() == [True, False, False, False]
 
 
