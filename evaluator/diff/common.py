@@ -19,8 +19,8 @@ from gpusimbench.schemas.fields import ENV, StateField
 from gpusimbench.schemas.provenance import engine_name
 
 EPISODE_STEP = "episode_step"
-_OF_THE_STEP = ("action", "final_observation", "info", "reward", "terminated", "truncated")
 """Of the group ENV: the step within its episode, 0 in the state that a reset made."""
+_OF_THE_STEP = ("action", "final_observation", "info", "reward", "terminated", "truncated")
 
 _LARGEST_RATIO = 1000  # of two time steps, and of its parts as a fraction
 _TOLERANCE = 1e-9

@@ -35,7 +35,6 @@ NOT_COMPARED = "not compared"
 """The answer where nothing could be compared."""
 TIMED = "timed"
 """After an answer: no states were captured, and those that the timed phase hashed were compared."""
-AT_TIMED = "at steps of the timed phase"
 _MEANING = f"{TIMED}: at the {ENDS}, where no states were captured"
 
 
@@ -263,7 +262,7 @@ def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: 
     n = compared[0][0].metrics[counted.name].n
     timed = [said for r, _ in compared if (said := words.timed_steps(r.metrics[counted.name]))]
     mark = f", {TIMED}" if len(timed) == len(compared) else ""
-    at = list(dict.fromkeys(timed)) if mark else [f"{len(timed)} of them {AT_TIMED}"] if timed else []
+    at = list(dict.fromkeys(timed)) if mark else [f"{len(timed)} of them at steps of the timed phase"] if timed else []
     if not differ:
         how = f"all {n} {what}" if len(compared) == 1 else f"all {len(compared)} groups"
         if left := sum(bool(r.group.complete) for r, claim in claims if claim.holds is None):

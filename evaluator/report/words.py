@@ -91,6 +91,11 @@ def timed_steps(metric: Estimate) -> str:
     return f"at step{'s' if len(steps) > 1 else ''} {' and '.join(map(str, steps))} of the timed phase"
 
 
+def timed_notes(metric: Estimate) -> tuple[str, ...]:
+    """The same as notes of a cell."""
+    return tuple(filter(None, (timed_steps(metric),)))
+
+
 def repeating(claims: Sequence[bool | None]) -> str:
     """How many groups repeat themselves bit for bit, of those of which it is known."""
     yes, of = claims.count(True), sum(claim is not None for claim in claims)

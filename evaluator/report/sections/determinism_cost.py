@@ -88,8 +88,8 @@ def _bits(result: GroupResult, metric: Metric, reasons: Reasons) -> Cell:
     said = words.count_of(found)
     if said == NONE:
         return reasons.cell(holds.why_not)
-    at = tuple(filter(None, (words.timed_steps(found),)))
-    return Cell(said, notes=at, tone=Tone.PLAIN if holds.holds is None else Tone.GOOD if holds.holds else Tone.BAD)
+    tone = Tone.PLAIN if holds.holds is None else Tone.GOOD if holds.holds else Tone.BAD
+    return Cell(said, notes=words.timed_notes(found), tone=tone)
 
 
 def _cost(found: Cost, reasons: Reasons) -> Cell:

@@ -143,7 +143,7 @@ def _variability(source: Source, rows: Sequence[VariabilityRow]) -> Table:
         fault = Cell(str(row.faults), tone=Tone.BAD) if row.faults else Cell("no fault found")
         distances = map(_cell, (row.real, row.parallel, row.run_to_run))
         counted = [result.metrics[f"distinct_{of}"] for of in ("envs", "runs")]
-        distinct = (Cell(words.count_of(one), notes=tuple(filter(None, (words.timed_steps(one),)))) for one in counted)
+        distinct = (Cell(words.count_of(one), notes=words.timed_notes(one)) for one in counted)
         kind = EMPTY if regime is None else Cell(f"{regime:.0f}", regime)
         against = fault if result.group.complete else EMPTY
         shown.append(Row((named(source, result), kind, *distances, *distinct, against), facets(result.group.key)))
